@@ -1,0 +1,79 @@
+"""Scalar functions that stay smooth where the textbook formula divides zero by zero.
+
+Every distance of the library goes through `squared_angle`, a function of the squared
+chord: it has finite derivatives of all orders at coincidence, where `arccos` has none.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+
+_SERIES_LIMIT = 0.5  # below this squared chord the power series is exact to rounding
+_MAX_ANGLE = np.pi - 0.05  # beyond it the squared angle continues linearly in q
+_MAX_CHORD2 = 2.0 - 2.0 * np.cos(_MAX_ANGLE)
+
+
+def _squared_angle_series(terms: int) -> list[float]:
+    """a_1 .. a_terms of F(q) = sum a_n q^n: a_1 = 1, a_{n+1} = a_n n^2/((2n+1)(2n+2))."""
+    series = [1.0]
+    for n in range(1, terms):
+        series.append(series[-1] * n**2 / ((2 * n + 1) * (2 * n + 2)))
+    return series
+
+
+_F_SERIES = _squared_angle_series(20)
+_G_SERIES = [(n + 1) * a for n, a in enumerate(_F_SERIES)]
+
+
+def _horner(coefficients: list[float], q: Array) -> Array:
+    total = jnp.full_like(q, coefficients[-1])
+    for a in coefficients[-2::-1]:
+        total = total * q + a
+    return total
+
+
+def squared_angle(q: Float[Array, "..."]) -> Float[Array, "..."]:
+    r"""$F(q) = \theta^2$ for the squared chord $q = |x-y|^2 = 2 - 2\cos\theta$ of the
+    unit sphere, $F(q) = 4 \arcsin^2(\sqrt q / 2)$.
+
+    Analytic for q < 4. Beyond $\theta = \pi - 0.05$ it continues linearly in q, so value
+    and first derivative stay finite at the cut locus (q = 4), where the true squared
+    distance has a corner. Compute q from the difference x - y, never from 1 - <x, y>.
+    """
+    small = q < _SERIES_LIMIT
+    near = jnp.where(small, q, 0.0)
+    far = jnp.clip(jnp.where(small, 1.0, q), max=_MAX_CHORD2)
+    excess = jnp.where(q > _MAX_CHORD2, q - _MAX_CHORD2, 0.0)
+    slope = _MAX_ANGLE / np.sin(_MAX_ANGLE)
+    outer = 4.0 * jnp.arcsin(jnp.sqrt(far) / 2.0) ** 2 + slope * excess
+    return jnp.where(small, near * _horner(_F_SERIES, near), outer)
+
+
+def angle_over_sine(q: Float[Array, "..."]) -> Float[Array, "..."]:
+    r"""$G(q) = F'(q) = \theta / \sin\theta$ for the squared chord q (see
+    `squared_angle`); constant beyond $\theta = \pi - 0.05$."""
+    small = q < _SERIES_LIMIT
+    near = jnp.where(small, q, 0.0)
+    far = jnp.clip(jnp.where(small, 1.0, q), max=_MAX_CHORD2)
+    angle = 2.0 * jnp.arcsin(jnp.sqrt(far) / 2.0)
+    sine = jnp.sqrt(far * (1.0 - far / 4.0))
+    return jnp.where(small, _horner(_G_SERIES, near), angle / sine)
+
+
+def cos_sinc(squared: Float[Array, "..."]) -> tuple[Array, Array]:
+    r"""$(\cos r, \sin r / r)$ as functions of $r^2$, smooth at r = 0."""
+    small = squared < 1e-2
+    near = jnp.where(small, squared, 0.0)
+    far = jnp.sqrt(jnp.where(small, 1.0, squared))
+    cosine = _horner([1.0, -1 / 2, 1 / 24, -1 / 720, 1 / 40320, -1 / 3628800], near)
+    sinc = _horner([1.0, -1 / 6, 1 / 120, -1 / 5040, 1 / 362880, -1 / 39916800], near)
+    return (
+        jnp.where(small, cosine, jnp.cos(far)),
+        jnp.where(small, sinc, jnp.sin(far) / far),
+    )
+
+
+def norm_squared(v: Float[Array, "..."], axes: int = 1) -> Float[Array, "..."]:
+    """Sum of squares over the last `axes` axes."""
+    return jnp.sum(v**2, axis=tuple(range(-axes, 0)))

@@ -1,0 +1,3 @@
+from ._base import AbstractManifold as AbstractManifold
+from ._euclidean import Euclidean as Euclidean
+from ._sphere import Sphere as Sphere

@@ -1,0 +1,57 @@
+"""Euclidean space: the flat case, in which manifold regression is spline smoothing."""
+
+import jax
+import jax.numpy as jnp
+import equinox as eqx
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from ._base import AbstractManifold
+
+
+class Euclidean(AbstractManifold):
+    r"""$\mathbb{R}^n$: $\pi = \mathrm{id}$, $P = I$, $II = 0$, $d(p,q) = |p - q|$."""
+
+    dim: int = eqx.field(static=True)
+
+    @property
+    def point_shape(self) -> tuple[int, ...]:
+        return (self.dim,)
+
+    @property
+    def reach(self) -> float:
+        return float("inf")
+
+    @property
+    def injectivity_radius(self) -> float:
+        return float("inf")
+
+    def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
+        return p
+
+    def tangent_projection(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        return v
+
+    def second_fundamental_form(
+        self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        return jnp.zeros_like(u)
+
+    def squared_distance(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        return jnp.sum((p - q) ** 2, axis=-1)
+
+    def exp(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        return p + v
+
+    def log(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        return q - p
+
+    def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
+        return jax.random.normal(key, (n, self.dim))

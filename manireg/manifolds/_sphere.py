@@ -1,0 +1,81 @@
+"""The round sphere: the template to copy for a manifold with closed formulas."""
+
+import jax
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
+
+from .._numerics import angle_over_sine, cos_sinc, norm_squared, squared_angle
+from ._base import AbstractManifold
+
+
+class Sphere(AbstractManifold):
+    r"""$S^n(r) = \{p \in \mathbb{R}^{n+1} : |p| = r\}$; `Sphere(1)` is the circle.
+
+    **Arguments:** `dim` the dimension n >= 1; `radius` (default 1), a float or a traced
+    scalar.
+    """
+
+    dim: int = eqx.field(static=True)
+    radius: ScalarLike = 1.0
+
+    def __check_init__(self):
+        if self.dim < 1:
+            raise ValueError(f"Sphere: `dim` must be at least 1, found {self.dim}.")
+        if isinstance(self.radius, float | int) and not self.radius > 0:
+            raise ValueError(f"Sphere: `radius` must be positive, found {self.radius}.")
+
+    @property
+    def point_shape(self) -> tuple[int, ...]:
+        return (self.dim + 1,)
+
+    @property
+    def reach(self) -> ScalarLike:
+        return self.radius
+
+    @property
+    def injectivity_radius(self) -> ScalarLike:
+        return np.pi * self.radius
+
+    def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
+        r"""$r p / |p|$; undefined (NaN) at the origin, the medial axis."""
+        return self.radius * p / jnp.linalg.norm(p, axis=-1, keepdims=True)
+
+    def tangent_projection(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$v - \langle p, v \rangle p / |p|^2$."""
+        along = jnp.sum(p * v, axis=-1, keepdims=True)
+        return v - along * p / jnp.sum(p * p, axis=-1, keepdims=True)
+
+    def second_fundamental_form(
+        self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$II_p(u, v) = -\langle u, v \rangle p / r^2$."""
+        return -jnp.sum(u * v, axis=-1, keepdims=True) * p / self.radius**2
+
+    def squared_distance(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$r^2 F(|p - q|^2 / r^2)$; near the cut locus (antipodes) continued linearly
+        in the squared chord, see `manireg._numerics.squared_angle`."""
+        return self.radius**2 * squared_angle(norm_squared(p - q) / self.radius**2)
+
+    def exp(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$\cos(|v|/r) p + r \sin(|v|/r) v / |v|$."""
+        cosine, sinc = cos_sinc(norm_squared(v)[..., None] / self.radius**2)
+        return cosine * p + sinc * v
+
+    def log(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$\frac{\theta}{\sin\theta} P_p q$ with $\theta = d(p, q)/r$."""
+        chord2 = norm_squared(p - q)[..., None] / self.radius**2
+        return angle_over_sine(chord2) * self.tangent_projection(p, q)
+
+    def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
+        """Uniform on the sphere."""
+        return self.project(jax.random.normal(key, (n, self.dim + 1)))
