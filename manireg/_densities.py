@@ -1,0 +1,86 @@
+"""Pointwise densities: what one quadrature point or one datum contributes.
+
+All are pure functions of a jet `(J, t)` of Psi in flattened ambient coordinates: row 0
+the value, rows 1..m first, the others second derivatives (see `_jets`). Energies come as
+residuals whose square is the density, because their Jacobians, taken through the
+projector, are the Gauss-Newton blocks of the Hessian.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ._jets import second_derivative_pairs
+from .manifolds import AbstractManifold
+
+
+def _project(target: AbstractManifold, psi: Float[Array, " t"]) -> Float[Array, " t"]:
+    return target.project(psi.reshape(target.point_shape)).ravel()
+
+
+def _to_tangent(
+    target: AbstractManifold, psi: Float[Array, " t"], vectors: Float[Array, "r t"]
+) -> Float[Array, "r t"]:
+    p = psi.reshape(target.point_shape)
+    ambient = vectors.reshape(-1, *target.point_shape)
+    return jax.vmap(lambda v: target.tangent_projection(p, v))(ambient).reshape(
+        vectors.shape
+    )
+
+
+def _multiplicities(m: int) -> Float[Array, "pairs 1"]:
+    """Square roots: off-diagonal second derivatives count twice in |H|^2."""
+    pairs = second_derivative_pairs(m)
+    return jnp.array([[1.0 if a == b else np.sqrt(2.0)] for a, b in pairs])
+
+
+def thin_plate_residual(jet: Float[Array, "J t"], m: int) -> Float[Array, "r t"]:
+    r"""$|r|^2 = |H|^2$, the ambient second derivative: the paper's (3)."""
+    return _multiplicities(m) * jet[1 + m :]
+
+
+def penalised_residual(
+    target: AbstractManifold, jet: Float[Array, "J t"], m: int
+) -> Float[Array, "r t"]:
+    r"""$|r|^2 = |P(\pi(\Psi)) H|^2$: the Eells density of the paper's (2), (5) for maps
+    near N. The projector is that of the closest point, in any codimension."""
+    return _multiplicities(m) * _to_tangent(target, jet[0], jet[1 + m :])
+
+
+def projected_residual(
+    target: AbstractManifold, jet: Float[Array, "J t"], m: int
+) -> Float[Array, "r t"]:
+    r"""$|r|^2$ = the Eells density of $\pi \circ \Psi$, a map into N:
+    $P(D^2\pi[\partial_a\Psi, \partial_b\Psi] + D\pi\, H_{ab})$ (mathematics, 2.6 (ii)).
+    Blind to displacements of Psi normal to N."""
+    value, first, second = jet[0], jet[1 : 1 + m], jet[1 + m :]
+    rows = []
+    for (a, b), h in zip(second_derivative_pairs(m), second):
+        push = lambda psi, v: jax.jvp(lambda p: _project(target, p), (psi,), (v,))[1]
+        _, row = jax.jvp(push, (value, first[a]), (first[b], h))
+        rows.append(row)
+    return _multiplicities(m) * _to_tangent(target, value, jnp.stack(rows))
+
+
+def off_manifold_residual(
+    target: AbstractManifold, psi: Float[Array, " t"]
+) -> Float[Array, " t"]:
+    r"""$\Psi - \pi(\Psi)$."""
+    return psi - _project(target, psi)
+
+
+def geodesic_loss(
+    target: AbstractManifold, psi: Float[Array, " t"], y: Float[Array, " t"]
+) -> Float[Array, ""]:
+    r"""$d_N(y, \pi(\Psi))^2$."""
+    p = target.project(psi.reshape(target.point_shape))
+    return target.squared_distance(p, y.reshape(target.point_shape))
+
+
+def loss_factor(
+    target: AbstractManifold, psi: Float[Array, " t"]
+) -> Float[Array, "t t"]:
+    r"""$D\pi(\Psi)$: its Gram matrix is half the Hessian model of the geodesic loss.
+    Exact for a perfect fit; where N is positively curved it never underestimates."""
+    return jax.jacfwd(lambda p: _project(target, p))(psi)
