@@ -1,0 +1,366 @@
+"""Pictures for papers and notebooks: globes, cross-validation curves, coordinates.
+
+matplotlib comes with the extra `plots` and is imported when a picture is drawn, without
+pyplot: figures carry no global state, show themselves in notebooks, and `save` writes
+them for print.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jaxtyping
+import numpy as np
+from jaxtyping import Float
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+else:
+    Axes = Figure = Any
+
+ArrayLike = Sequence[Any] | jaxtyping.ArrayLike
+
+_STYLE: dict[Any, Any] = {
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "axes.titlesize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "legend.frameon": False,
+    "pdf.fonttype": 42,
+    "svg.fonttype": "none",
+}
+_BLUE, _ORANGE, _GREY = "#0072B2", "#D55E00", "#7a7f85"  # Okabe & Ito
+
+
+def _matplotlib():
+    try:
+        import matplotlib
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "manireg.plot needs matplotlib: pip install 'manireg[plots]'"
+        ) from error
+    return matplotlib
+
+
+def figure(width: float = 3.5, height: float = 3.0) -> Figure:
+    """An empty figure, in inches, that belongs to no pyplot."""
+    _matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    class Picture(Figure):
+        def _repr_png_(self):
+            import io
+
+            with io.BytesIO() as file:
+                self.savefig(file, format="png", dpi=144)
+                return file.getvalue()
+
+    picture = Picture(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(picture)
+    return picture
+
+
+def save(picture: Figure, path: Any) -> None:
+    """Write `picture` for print: 300 dots per inch, cropped, text as text in PDF and
+    SVG; the ending of `path` chooses the format."""
+    with _matplotlib().rc_context(_STYLE):
+        picture.savefig(path, dpi=300, bbox_inches="tight", pad_inches=0.03)
+
+
+class Globe(NamedTuple):
+    """The unit sphere seen from far away: `axes` to draw on, and `turn`, whose rows are
+    the directions right, up and towards the eye. What lies on the far side is pale."""
+
+    axes: Axes
+    turn: Float[np.ndarray, "3 3"]
+
+    @property
+    def figure(self) -> Figure:
+        return _figure_of(self.axes)
+
+    def flatten(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (n, 2) on the paper, and which points (n,) are on the near side."""
+        points = np.asarray(points)
+        turned = points / np.linalg.norm(points, axis=-1, keepdims=True) @ self.turn.T
+        return turned[..., :2], turned[..., 2] >= 0
+
+    def points(self, points: ArrayLike, colours: Any = _ORANGE, **style: Any) -> None:
+        """Dots at `points` (n, 3), in one colour or one each."""
+        place, near = self.flatten(points)
+        colours = _colours(colours, len(place))
+        style = {"s": 9, "linewidths": 0.5, "edgecolors": "white", "zorder": 6} | style
+        self.axes.scatter(*place[near].T, c=colours[near], **style)
+        style |= {"alpha": 0.3, "zorder": 1.5}
+        self.axes.scatter(*place[~near].T, c=colours[~near], **style)
+
+    def path(self, points: ArrayLike, colours: Any = _BLUE, **style: Any) -> None:
+        """The line through `points` (n, 3), in one colour or one a point; dashed on the
+        far side."""
+        from matplotlib.collections import LineCollection
+
+        points, colours = _unit(points), _colours(colours, len(np.asarray(points)))
+        step = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+        length = np.concatenate([[0.0], step.cumsum()])
+        even = np.linspace(0, length[-1], 2 + int(length[-1] / 0.01))
+        even_points, even_colours = (
+            np.stack([np.interp(even, length, column) for column in columns.T], axis=-1)
+            for columns in (points, colours)
+        )
+        place, near = self.flatten(even_points)
+        segments = np.stack([place[:-1], place[1:]], axis=1)
+        colours, near, dash = even_colours[:-1], near[:-1], even[:-1] % 0.05 < 0.03
+        style = {"linewidths": 1.6, "capstyle": "round", "zorder": 5} | style
+        lines = LineCollection(list(segments[near]), colors=colours[near], **style)
+        self.axes.add_collection(lines, autolim=False)
+        far = ~near & dash
+        style |= {"alpha": 0.4, "zorder": 1, "capstyle": "butt"}
+        lines = LineCollection(list(segments[far]), colors=colours[far], **style)
+        self.axes.add_collection(lines, autolim=False)
+
+    def circles(
+        self, centres: ArrayLike, radii: ArrayLike, colours: Any = _GREY, **style: Any
+    ) -> None:
+        """Small circles of angular `radii` (n,) in degrees about `centres` (n, 3)."""
+        from matplotlib.collections import PolyCollection
+
+        centres, radii = _unit(centres), np.radians(np.asarray(radii, np.float64))
+        colours = _colours(colours, len(centres))
+        angle = np.linspace(0, 2 * np.pi, 73)[:, None]
+        outlines, near = [], []
+        for centre, radius in zip(centres, radii, strict=True):
+            e1, e2 = np.linalg.svd(centre[None])[2][1:]
+            ring = np.cos(angle) * e1 + np.sin(angle) * e2
+            place, front = self.flatten(np.cos(radius) * centre + np.sin(radius) * ring)
+            outlines.append(place)
+            near.append(front.mean() > 0.5)
+        near = np.array(near, bool)
+        for side, alpha, order in ((near, 1.0, 3), (~near, 0.3, 1)):
+            shapes = [o for o, keep in zip(outlines, side, strict=True) if keep]
+            fill, edge = colours[side].copy(), colours[side].copy()
+            fill[:, 3], edge[:, 3] = 0.13 * alpha, 0.6 * alpha
+            options = {"facecolors": fill, "edgecolors": edge, "linewidths": 0.5}
+            polygons = PolyCollection(shapes, zorder=order, **(options | style))
+            self.axes.add_collection(polygons, autolim=False)
+
+
+def globe(
+    ax: Axes | None = None,
+    *,
+    view: ArrayLike = (1.0, -1.0, 0.7),
+    graticule: float | None = 30.0,
+) -> Globe:
+    """An empty globe, seen from the direction `view` (3,) with the z axis upwards, with
+    meridians and parallels every `graticule` degrees."""
+    from matplotlib.patches import Circle
+
+    ax = figure(3.0, 3.0).add_subplot() if ax is None else ax
+    ax.set(xlim=(-1.02, 1.02), ylim=(-1.02, 1.02), aspect="equal")
+    ax.set_axis_off()
+    drawn = Globe(ax, _turn(_unit(view)))
+    rim = ax.add_patch(Circle((0, 0), 1, fc="none", ec=_GREY, lw=0.8, zorder=4))
+    i = np.linspace(-1, 1, 300)
+    depth = np.sqrt(np.clip(1 - i[:, None] ** 2 - i**2, 0, 1))
+    shade = np.clip(0.86 + 0.14 * depth + 0.03 * (i[:, None] - i), 0, 1)
+    shade = np.stack([0.97 * shade, 0.985 * shade, shade], axis=-1)
+    image = ax.imshow(shade, extent=(-1, 1, -1, 1), origin="lower", zorder=0)
+    image.set_clip_path(rim)
+    if graticule:
+        _draw_graticule(drawn, graticule)
+    return drawn
+
+
+def _draw_graticule(drawn: Globe, step: float) -> None:
+    from matplotlib.collections import LineCollection
+
+    along = np.radians(np.linspace(-180, 180, 361))
+    pieces = []
+    for longitude in np.radians(np.arange(0, 180, step)):
+        pieces.append(_sphere_points(along, np.full_like(along, longitude)))
+    for latitude in np.radians(np.arange(-90 + step, 90, step)):
+        pieces.append(_sphere_points(np.full_like(along, latitude), along))
+    for piece in pieces:
+        place, near = drawn.flatten(piece)
+        segments = np.stack([place[:-1], place[1:]], axis=1)[near[:-1] & near[1:]]
+        lines = LineCollection(list(segments), colors="#b4bac2", lw=0.4, zorder=2)
+        drawn.axes.add_collection(lines, autolim=False)
+
+
+def view_of(points: ArrayLike) -> Float[np.ndarray, "3"]:
+    """The direction from which most of `points` (n, 3) lie well on the near side."""
+    points = _unit(points)
+    i = np.arange(2000) + 0.5
+    z, turn = 1 - i / 1000, np.pi * (1 + np.sqrt(5)) * i
+    candidates = _sphere_points(np.arcsin(z), turn)
+    depth = candidates @ points.T
+    score = (depth > 0.2) + np.minimum(depth, 0.5) + 0.1 * depth
+    return candidates[np.argmax(score.mean(1))]
+
+
+def sphere_path(
+    model: Any,
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    a95: ArrayLike | None = None,
+    view: ArrayLike | None = None,
+    label: str = "input",
+    ax: Axes | None = None,
+) -> Figure:
+    """A curve on the sphere S^2: data `y` (k, 3) at scalar inputs `x` (k,), the path of
+    `model` between the first and the last, both coloured by the input, and confidence
+    circles of radius `a95` (k,) in degrees where it is given.
+
+    **Arguments:** `model` any callable from inputs to points, as `fit` returns; `view`
+    the direction towards the eye, by default `view_of` data and path; `label` names the
+    input; `ax` the axes to draw in, by default a new figure.
+    """
+    with _matplotlib().rc_context(_STYLE):
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import ListedColormap, Normalize
+
+        x, y = np.asarray(x), _unit(y)
+        inputs = np.linspace(x.min(), x.max(), 1500)
+        path = np.asarray(model(inputs.reshape(-1, *x.shape[1:])))
+        seen = np.concatenate([path[::10], y]) if view is None else y
+        ax = figure(3.6, 3.0).add_subplot() if ax is None else ax
+        drawn = globe(ax, view=view_of(seen) if view is None else view)
+        dark = ListedColormap(_matplotlib().colormaps["viridis"](range(236)))
+        colour = ScalarMappable(Normalize(x.min(), x.max()), dark)
+        if a95 is not None:
+            drawn.circles(y, a95, colour.to_rgba(x.ravel()))
+        drawn.path(path, colour.to_rgba(inputs))
+        drawn.points(y, colour.to_rgba(x.ravel()))
+        bar = drawn.figure.colorbar(colour, ax=ax, shrink=0.7, aspect=25, pad=0.03)
+        bar.set_label(label)
+        bar.outline.set_linewidth(0.4)
+        return drawn.figure
+
+
+def cv_curve(cv: Any, *, ax: Axes | None = None) -> Figure:
+    """Mean held-out score over the folds against lambda, with its standard error, and
+    the lambda chosen; `cv` as `cross_validate` returns it."""
+    with _matplotlib().rc_context(_STYLE):
+        lams, scores = np.asarray(cv.lams), np.asarray(cv.scores)
+        order = np.argsort(lams)
+        lams, scores = lams[order], scores[:, order]
+        mean = scores.mean(0)
+        error = scores.std(0, ddof=1) / np.sqrt(len(scores))
+        ax = figure(3.4, 2.3).add_subplot() if ax is None else ax
+        style = {"fmt": "o-", "ms": 3, "lw": 1, "elinewidth": 0.7, "capsize": 1.5}
+        ax.errorbar(lams, mean, error, color=_BLUE, **style)
+        lam = float(cv.lam)
+        label = rf"$\lambda = {lam:.2g}$"
+        ax.axvline(lam, color=_ORANGE, lw=1, ls="--", zorder=0, label=label)
+        ax.set(xscale="log", xlabel=r"$\lambda$", ylabel="mean squared held-out error")
+        if mean.max() > 10 * mean.min():
+            low = (mean - error)[mean > error].min()
+            ax.set(yscale="log", ylim=(low / 1.3, 1.3 * (mean + error).max()))
+        ax.legend()
+        return _figure_of(ax)
+
+
+def coordinates(
+    model: Any,
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    names: tuple[str, ...] | None = None,
+    label: str | tuple[str, ...] = "input",
+) -> Figure:
+    """Each coordinate of data `y` (k, ...) and `model` against one or two inputs `x`,
+    (k,) or (k, 2), a panel each: curves for one input, maps for two, with the data as
+    dots in the same colours. `names` of the coordinates, `label` of the input or inputs."""
+    with _matplotlib().rc_context(_STYLE):
+        x, y = np.asarray(x), np.asarray(y)
+        if x.ndim == 2 and x.shape[1] > 2 or x.ndim > 2:
+            raise ValueError(
+                f"Pictures need one or two inputs, `x` has shape {x.shape}."
+            )
+        shape, data = y.shape[1:] or (1,), y.reshape(len(y), -1)
+        across = shape[-1] if len(shape) == 2 else min(3, data.shape[1])
+        down = -(-data.shape[1] // across)
+        picture = figure(0.5 + 2.1 * across, 0.5 + 1.5 * down)
+        draw = _curves if x.size == len(x) else _maps
+        panels = picture.subplots(
+            down, across, squeeze=False, sharex=True, sharey=draw is _maps
+        )
+        draw(panels.flat, model, x, data)
+        labels = (label,) if isinstance(label, str) else label
+        for c, panel in enumerate(panels.flat):
+            if c >= data.shape[1]:
+                panel.set_axis_off()
+                continue
+            indices = ",".join(str(1 + int(i)) for i in np.unravel_index(c, shape))
+            name = names[c] if names else f"$y_{{{indices}}}$"
+            if draw is _curves:
+                panel.set_ylabel(name)
+            else:
+                panel.set(title=name, ylabel=labels[-1] if c % across == 0 else None)
+        for panel in panels[-1]:
+            panel.set_xlabel(labels[0])
+        return picture
+
+
+def _curves(panels: Any, model: Any, x: np.ndarray, data: np.ndarray) -> None:
+    inputs = np.linspace(x.min(), x.max(), 500)
+    curve = np.asarray(model(inputs.reshape(-1, *x.shape[1:]))).reshape(500, -1)
+    for panel, fitted, observed in zip(panels, curve.T, data.T, strict=False):
+        panel.plot(inputs, fitted, color=_BLUE, lw=1.2)
+        panel.plot(x.ravel(), observed, ".", color=_ORANGE, ms=3.5, mew=0)
+
+
+def _maps(panels: Any, model: Any, x: np.ndarray, data: np.ndarray) -> None:
+    axes = [
+        np.linspace(low, high, 60) for low, high in zip(x.min(0), x.max(0), strict=True)
+    ]
+    grid = np.stack(np.meshgrid(*axes), axis=-1)
+    values = np.asarray(model(grid.reshape(-1, 2))).reshape(3600, -1)
+    for panel, fitted, observed in zip(panels, values.T, data.T, strict=False):
+        low, high = min(fitted.min(), observed.min()), max(fitted.max(), observed.max())
+        options = {"vmin": low, "vmax": high, "cmap": "cividis"}
+        shade = {"shading": "gouraud", "rasterized": True}
+        mesh = panel.pcolormesh(*axes, fitted.reshape(60, 60), **options, **shade)
+        dots = {"s": 9, "edgecolors": "white", "linewidths": 0.4, "clip_on": False}
+        panel.scatter(*x.T, c=observed, **options, **dots)
+        _figure_of(panel).colorbar(mesh, ax=panel, aspect=25).outline.set_linewidth(0.4)
+
+
+def _figure_of(ax: Axes) -> Figure:
+    picture = ax.get_figure(root=True)
+    assert picture is not None
+    return picture
+
+
+def _unit(points: ArrayLike) -> np.ndarray:
+    points = np.asarray(points, np.float64)
+    return points / np.linalg.norm(points, axis=-1, keepdims=True)
+
+
+def _sphere_points(latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
+    x, y = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude)
+    return np.stack([x, y, np.sin(latitude)], axis=-1)
+
+
+def _turn(view: np.ndarray) -> np.ndarray:
+    """Rotation whose rows are right, up and `view`, with the z axis upwards."""
+    up = (
+        np.array([0.0, 0.0, 1.0]) if abs(view[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
+    )
+    up = _unit(up - up @ view * view)
+    return np.stack([np.cross(up, view), up, view])
+
+
+def _colours(colours: Any, n: int) -> np.ndarray:
+    from matplotlib.colors import to_rgba_array
+
+    return np.broadcast_to(to_rgba_array(colours), (n, 4))
