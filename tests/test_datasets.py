@@ -20,7 +20,7 @@ def test_von_mises_fisher_agrees_with_scipy(key, kappa):
     np.testing.assert_allclose(jnp.linalg.norm(y, axis=-1), 1, atol=1e-15)
     axes = [MEAN, np.cross(MEAN, [0, 0, 1]), np.array([1, 0, 0])]
     for axis in axes:
-        _, pvalue = stats.ks_2samp(y @ axis, theirs @ axis)
+        pvalue = stats.kstest(y @ axis, theirs @ axis).pvalue
         assert pvalue > 1e-3
 
 

@@ -1,11 +1,11 @@
 """Apparent polar wander: the bundled table, age -> S^2 with known precision."""
 
+from collections.abc import Sequence
 from importlib.resources import as_file, files
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from numpy.typing import ArrayLike
+from jaxtyping import ArrayLike, Float
 
 from ._tables import directions, read_table, rows_of
 
@@ -43,7 +43,7 @@ def polar_wander_plates() -> tuple[str, ...]:
     return tuple(str(name) for name in np.unique(_bundled()["plate"]))
 
 
-def a95_weights(a95: ArrayLike) -> Float[np.ndarray, " n"]:
+def a95_weights(a95: Sequence[float] | ArrayLike) -> Float[np.ndarray, " n"]:
     r"""Weights $w_i \propto 1/\sigma_i^2$ with mean 1 from 95 % confidence radii (n,).
 
     The mean of N directions of concentration kappa has standard deviation
