@@ -279,7 +279,7 @@ def coordinates(
 ) -> Figure:
     """Each coordinate of data `y` (k, ...) and `model` against one or two inputs `x`,
     (k,) or (k, 2), a panel each: curves for one input, maps for two, with the data as
-    dots in the same colours. `names` of the coordinates, `label` of the input or inputs."""
+    dots in the same colours. `names` of the coordinates, `label` of the inputs."""
     with _matplotlib().rc_context(_STYLE):
         x, y = np.asarray(x), np.asarray(y)
         if x.ndim == 2 and x.shape[1] > 2 or x.ndim > 2:
