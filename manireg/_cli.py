@@ -174,7 +174,7 @@ def fit(
             model = cv.model
         else:
             model = mr.fit(*problem, _number(lam), weights=w)
-        predicted = np.asarray(model(queries.reshape(shape)))
+        predicted = np.array(model(queries.reshape(shape)))
         seconds = time.perf_counter() - start
 
         rows = np.concatenate([queries, there.decode(predicted)], axis=-1)
