@@ -11,7 +11,7 @@ from pathlib import Path
 import manireg
 
 FLOORS: Sequence[str] = """_numerics _checks manifolds _domain _local_polynomials _jets
-_densities _objective _sparse _hessian _newton _continuation _fit _selection baselines
+_densities _sparse _objective _hessian _newton _continuation _fit _selection baselines
 datasets plot __init__ _cli_tables _cli __main__""".split()
 ROOT = Path(manireg.__path__[0])
 FILES = {
