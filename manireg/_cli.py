@@ -248,7 +248,9 @@ def _draw(path: Path, model: Any, x: np.ndarray, there: Target, inputs: list[str
         picture = mr.plot.sphere_path(model, x, y, label=inputs[0])
     elif one and len(there.columns) < y[0].size == 2:
         picture = mr.plot.coordinates(
-            *_unwrapped(model, x, there), names=there.columns, label=inputs[0]
+            *_unwrapped(model, x, there),
+            names=(f"{there.columns[0]} (degrees)",),
+            label=inputs[0],
         )
     else:
         picture = mr.plot.coordinates(model, x, y, names=names, label=tuple(inputs))

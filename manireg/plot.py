@@ -157,15 +157,18 @@ def globe(
     ax: Axes | None = None,
     *,
     view: ArrayLike = (1.0, -1.0, 0.7),
-    graticule: float | None = 30.0,
+    radius: float = 1.0,
+    graticule: float | None = None,
 ) -> Globe:
     """An empty globe, seen from the direction `view` (3,) with the z axis upwards, with
-    meridians and parallels every `graticule` degrees."""
+    meridians and parallels every `graticule` degrees (0 for none, by default what suits
+    the picture). `radius` < 1 shows only so much of the globe about its middle."""
     from matplotlib.patches import Circle
 
     ax = figure(3.0, 3.0).add_subplot() if ax is None else ax
-    ax.set(xlim=(-1.02, 1.02), ylim=(-1.02, 1.02), aspect="equal")
-    ax.set_axis_off()
+    size = 1.02 if radius >= 1 else radius
+    ax.set(xlim=(-size, size), ylim=(-size, size), aspect="equal", xticks=[], yticks=[])
+    ax.spines[:].set(visible=radius < 1, color=_GREY, lw=0.8)
     drawn = Globe(ax, _turn(_unit(view)))
     rim = ax.add_patch(Circle((0, 0), 1, fc="none", ec=_GREY, lw=0.8, zorder=4))
     i = np.linspace(-1, 1, 300)
@@ -174,15 +177,21 @@ def globe(
     shade = np.stack([0.97 * shade, 0.985 * shade, shade], axis=-1)
     image = ax.imshow(shade, extent=(-1, 1, -1, 1), origin="lower", zorder=0)
     image.set_clip_path(rim)
+    ax.set(xlim=(-size, size), ylim=(-size, size))
+    if graticule is None:
+        graticule = 30 if radius > 0.5 else 10 if radius > 0.17 else 2
     if graticule:
         _draw_graticule(drawn, graticule)
+        style = {"fontsize": 6, "color": _GREY, "ha": "left", "va": "bottom"}
+        where = {"transform": ax.transAxes, "clip_on": False, "zorder": 7}
+        ax.text(0.01, 0.01, f"grid {graticule:g}°", **style, **where)
     return drawn
 
 
 def _draw_graticule(drawn: Globe, step: float) -> None:
     from matplotlib.collections import LineCollection
 
-    along = np.radians(np.linspace(-180, 180, 361))
+    along = np.radians(np.linspace(-180, 180, 721))
     pieces = []
     for longitude in np.radians(np.arange(0, 180, step)):
         pieces.append(_sphere_points(along, np.full_like(along, longitude)))
@@ -198,6 +207,9 @@ def _draw_graticule(drawn: Globe, step: float) -> None:
 def view_of(points: ArrayLike) -> Float[np.ndarray, "3"]:
     """The direction from which most of `points` (n, 3) lie well on the near side."""
     points = _unit(points)
+    mean = points.mean(0)
+    if np.linalg.norm(mean) > 0.95:
+        return _unit(mean)
     i = np.arange(2000) + 0.5
     z, turn = 1 - i / 1000, np.pi * (1 + np.sqrt(5)) * i
     candidates = _sphere_points(np.arcsin(z), turn)
@@ -218,7 +230,8 @@ def sphere_path(
 ) -> Figure:
     """A curve on the sphere S^2: data `y` (k, 3) at scalar inputs `x` (k,), the path of
     `model` between the first and the last, both coloured by the input, and confidence
-    circles of radius `a95` (k,) in degrees where it is given.
+    circles of radius `a95` (k,) in degrees where it is given. What fills only a small
+    part of the sphere is enlarged.
 
     **Arguments:** `model` any callable from inputs to points, as `fit` returns; `view`
     the direction towards the eye, by default `view_of` data and path; `label` names the
@@ -231,9 +244,13 @@ def sphere_path(
         x, y = np.asarray(x), _unit(y)
         inputs = np.linspace(x.min(), x.max(), 1500)
         path = np.asarray(model(inputs.reshape(-1, *x.shape[1:])))
-        seen = np.concatenate([path[::10], y]) if view is None else y
+        seen = np.concatenate([_unit(path[::10]), y])
+        view = view_of(seen) if view is None else _unit(view)
+        off_centre = float(np.arccos(np.clip((seen @ view).min(), -1, 1)))
+        off_centre += 0.0 if a95 is None else float(np.radians(np.max(np.asarray(a95))))
+        radius = 1.1 * np.sin(off_centre) if off_centre < 0.5 else 1.0
         ax = figure(3.6, 3.0).add_subplot() if ax is None else ax
-        drawn = globe(ax, view=view_of(seen) if view is None else view)
+        drawn = globe(ax, view=view, radius=radius)
         dark = ListedColormap(_matplotlib().colormaps["viridis"](range(236)))
         colour = ScalarMappable(Normalize(x.min(), x.max()), dark)
         if a95 is not None:

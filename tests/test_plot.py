@@ -47,7 +47,7 @@ def test_view_of_sees_the_points():
 
 
 def test_globe_path_is_split_at_the_rim():
-    drawn: Any = plot.globe(view=(1, 0, 0), graticule=None)
+    drawn: Any = plot.globe(view=(1, 0, 0), graticule=0)
     angle = np.linspace(0, 2 * np.pi, 50)
     equator = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
     drawn.path(equator)
@@ -61,7 +61,7 @@ def test_globe_path_is_split_at_the_rim():
 
 
 def test_globe_circles_have_their_radius():
-    drawn: Any = plot.globe(view=(1, 0, 0), graticule=None)
+    drawn: Any = plot.globe(view=(1, 0, 0), graticule=0)
     drawn.circles([[1, 0, 0], [-1, 0, 0]], [30.0, 10.0])
     front, back = (c.get_paths()[0].vertices for c in drawn.axes.collections)
     np.testing.assert_allclose(np.linalg.norm(front, axis=-1), 0.5)
@@ -82,6 +82,16 @@ def test_sphere_path(tmp_path, a95):
     assert 700 < height < 1000 and 900 < width < 1200
     plot.save(picture, tmp_path / "path.pdf")
     assert (tmp_path / "path.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_sphere_path_enlarges_what_is_small():
+    x = np.linspace(0, 1, 20)
+    picture: Any = plot.sphere_path(
+        lambda t: spiral(0.5 + t / 50), x, spiral(0.5 + x / 50)
+    )
+    axes = picture.axes[0]
+    place = axes.collections[-2].get_offsets()
+    assert np.abs(place).max() < axes.get_xlim()[1] < 1.5 * np.abs(place).max()
 
 
 def test_sphere_path_draws_into_given_axes():
