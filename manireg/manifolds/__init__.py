@@ -1,3 +1,17 @@
 from ._base import AbstractManifold as AbstractManifold
+from ._cylinder import Cylinder as Cylinder
+from ._ellipsoid import Ellipsoid as Ellipsoid
 from ._euclidean import Euclidean as Euclidean
+from ._flat_torus import FlatTorus as FlatTorus
+from ._generic import (
+    broadcast_points as broadcast_points,
+    geodesic_exp as geodesic_exp,
+    implicit_projection as implicit_projection,
+    implicit_solution as implicit_solution,
+    second_form_of_projection as second_form_of_projection,
+    shooting_log as shooting_log,
+)
+from ._level_set import LevelSet as LevelSet
+from ._product import Product as Product
 from ._sphere import Sphere as Sphere
+from ._torus import Torus as Torus

@@ -3,6 +3,7 @@
 With a closest point projection alone, `second_form_of_projection`, `geodesic_exp` and
 `shooting_log` supply the rest. `implicit_solution` and `implicit_projection` give an
 iterative solver derivatives of all orders, without differentiating the iteration.
+The functions with loops are jitted, so that calls outside of `jit` compile them once.
 """
 
 from collections.abc import Callable
@@ -11,14 +12,43 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ._base import AbstractManifold
 
-
-_SEGMENTS = 8  # of the discrete curve from which `shooting_log` starts
-_SWEEPS = 30  # of the relaxation of that curve; the slowest mode shrinks to 9 %
+_CURVES = 5  # discrete curves, of the shortest of which `shooting_log` starts
+_SEGMENTS = 8  # of each of them
+_SWEEPS = 30  # of their relaxation; the slowest mode shrinks to 9 %
 _SHOTS = 40  # cap on the Newton iterations; 3 to 6 are usual
+
+
+def _cooper_verner() -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (11, 11), strictly lower triangular, and weights (11,)."""
+    s = np.sqrt(21.0)
+    rows = [
+        [],
+        [1 / 2],
+        [1 / 4, 1 / 4],
+        [1 / 7, (-7 - 3 * s) / 98, (21 + 5 * s) / 49],
+        [(11 + s) / 84, 0, (18 + 4 * s) / 63, (21 - s) / 252],
+        [(5 + s) / 48, 0, (9 + s) / 36, (14 * s - 231) / 360, (63 - 7 * s) / 80],
+        [(10 - s) / 42, 0, (92 * s - 432) / 315, (633 - 145 * s) / 90]
+        + [(115 * s - 504) / 70, (63 - 13 * s) / 35],
+        [1 / 14, 0, 0, 0, (14 - 3 * s) / 126, (13 - 3 * s) / 63, 1 / 9],
+        [1 / 32, 0, 0, 0, (91 - 21 * s) / 576, 11 / 72, (-385 - 75 * s) / 1152]
+        + [(63 + 13 * s) / 128],
+        [1 / 14, 0, 0, 0, 1 / 9, (-733 - 147 * s) / 2205, (515 + 111 * s) / 504]
+        + [(-51 - 11 * s) / 56, (132 + 28 * s) / 245],
+        [0, 0, 0, 0, (7 * s - 42) / 18, (28 * s - 18) / 45, (-273 - 53 * s) / 72]
+        + [(301 + 53 * s) / 72, (28 - 28 * s) / 45, (49 - 7 * s) / 18],
+    ]
+    weights = [1 / 20, 0, 0, 0, 0, 0, 0, 49 / 180, 16 / 45, 49 / 180, 1 / 20]
+    stages = np.array([row + [0.0] * (11 - len(row)) for row in rows])
+    return stages, np.array(weights)
+
+
+_STAGES, _WEIGHTS = _cooper_verner()
 
 
 def broadcast_points(
@@ -43,8 +73,8 @@ def second_form_of_projection(
 ) -> Float[Array, "..."]:
     r"""$II_p(u, v) = D^2\pi(p)[u, v]$ for p on N and tangent u, v, in any codimension.
 
-    **Arguments:** `project` the closest point projection, broadcasting; `p`, `u`, `v` of
-    shape `(..., *point_shape)`.
+    **Arguments:** `project` the closest point projection, broadcasting; `p`, `u`,
+    `v` of shape `(..., *point_shape)`.
     """
     p, u, v = jnp.broadcast_arrays(p, u, v)
 
@@ -54,57 +84,60 @@ def second_form_of_projection(
     return jax.jvp(along_u, (p,), (v,))[1]
 
 
+@eqx.filter_jit
 def geodesic_exp(
     manifold: AbstractManifold,
     p: Float[Array, "..."],
     v: Float[Array, "..."],
-    steps: int = 64,
+    steps: int = 24,
 ) -> Float[Array, "..."]:
     r"""End point at time 1 of $y'' = II_y(y', y')$, $y(0) = p$, $y'(0) = v$, by the
-    classical Runge-Kutta method of order 4.
+    Runge-Kutta method of order 8 of Cooper and Verner (1972).
 
     The drift off N is of the order of the integration error, so the projection is left
     to the end. Uses `second_fundamental_form` (at points and for vectors that are off N
     by that much) and `project`.
 
-    **Arguments:** `steps` number of equal steps; the error is about
-    $(|v| \kappa / \text{steps})^4 / 100$ for the curvature $\kappa$ of the geodesic.
+    **Arguments:** `steps` number of equal steps. On the torus of radii 2 and 1 the
+    default errs by 3e-15, 2e-10 and 5e-7 for |v| = 1, 3 and 6.
     """
-    p, v = jnp.broadcast_arrays(p, v)
+    initial = jnp.stack(jnp.broadcast_arrays(p, v))
     h = 1.0 / steps
 
-    def slope(y, w):
-        return w, manifold.second_fundamental_form(y, w, w)
+    # A loop over the stages, too: it compiles one second fundamental form, not eleven.
+    def stage(state, row):
+        start, slopes = state
+        i, coefficients = row
+        y, w = start + h * jnp.tensordot(coefficients, slopes, 1)
+        slope = jnp.stack([w, manifold.second_fundamental_form(y, w, w)])
+        return (start, slopes.at[i].set(slope)), None
 
-    def step(state, _):
-        y, w = state
-        y1, w1 = slope(y, w)
-        y2, w2 = slope(y + h / 2 * y1, w + h / 2 * w1)
-        y3, w3 = slope(y + h / 2 * y2, w + h / 2 * w2)
-        y4, w4 = slope(y + h * y3, w + h * w3)
-        y = y + h / 6 * (y1 + 2 * y2 + 2 * y3 + y4)
-        w = w + h / 6 * (w1 + 2 * w2 + 2 * w3 + w4)
-        return (y, w), None
+    def step(start, _):
+        slopes = jnp.zeros((len(_WEIGHTS), *start.shape), start.dtype)
+        (_, slopes), _ = jax.lax.scan(stage, (start, slopes), rows)
+        return start + h * jnp.tensordot(weights, slopes, 1), None
 
-    (y, _), _ = jax.lax.scan(step, (p, v), None, length=steps)
+    rows = (jnp.arange(len(_WEIGHTS)), jnp.asarray(_STAGES, initial.dtype))
+    weights = jnp.asarray(_WEIGHTS, initial.dtype)
+    (y, _), _ = jax.lax.scan(step, initial, None, length=steps)
     return manifold.project(y)
 
 
+@eqx.filter_jit
 def shooting_log(
     manifold: AbstractManifold, p: Float[Array, "..."], q: Float[Array, "..."]
 ) -> Float[Array, "..."]:
     r"""The tangent v at p with `manifold.exp(p, v) == q`, by Newton shooting, for a
     manifold without a closed logarithm.
 
-    Starts from a discrete curve: the chord projected to N and relaxed by
-    $y_i \leftarrow \pi((y_{i-1} + y_{i+1})/2)$, so the geodesic found is a local minimum
-    of the length near the chord. That is the shortest one well inside the injectivity
-    radius, and usually beyond it. Derivatives of all orders exist, also at p == q; p and
-    q are projected first. Uses `project`, `tangent_projection` and `exp`.
+    Starts from the shortest of five discrete curves, relaxed from the chord and bent
+    chords by $y_i \leftarrow \pi((y_{i-1} + y_{i+1})/2)$. The geodesic found is the
+    shortest one inside the injectivity radius, and usually beyond it. Derivatives of
+    all orders exist, also at p == q; p and q are projected first. Uses `project`,
+    `tangent_projection` and `exp`.
     """
-    log = eqx.Partial(_shoot, manifold)
-    p, q = manifold.project(p), manifold.project(q)
-    return broadcast_points(log, manifold.point_shape)(p, q)
+    p, q = manifold.project(jnp.stack(jnp.broadcast_arrays(p, q)))
+    return broadcast_points(eqx.Partial(_shoot, manifold), manifold.point_shape)(p, q)
 
 
 @eqx.filter_custom_jvp
@@ -118,33 +151,32 @@ def _shoot(manifold: AbstractManifold, p: Array, q: Array) -> Array:
         gap = manifold.exp(p, (frame @ x).reshape(shape)) - q
         return gap.ravel(), gap.ravel()
 
-    def shot(x):
-        jacobian, gap = jax.jacfwd(miss, has_aux=True)(x)
-        return gap, jacobian
-
     def move(state):
-        x, gap, jacobian, damping, _, count = state
-        normal = jacobian.T @ jacobian + damping * jnp.eye(manifold.dim)
-        dx = -jnp.linalg.solve(normal, jacobian.T @ gap)
-        new_gap, new_jacobian = shot(x + dx)
-        better = jnp.sum(new_gap**2) <= jnp.sum(gap**2)
-        x, gap, jacobian = jax.tree.map(
-            lambda new, old: jnp.where(better, new, old),
-            (x + dx, new_gap, new_jacobian),
-            (x, gap, jacobian),
+        x, best, size, step, damping, _, count = state
+        jacobian, gap = jax.jacfwd(miss, has_aux=True)(x + step)
+        better = jnp.sum(gap**2) <= size
+        gap, jacobian = jax.tree.map(
+            lambda new, old: jnp.where(better, new, old), (gap, jacobian), best
         )
+        x = jnp.where(better, x + step, x)
         damping = jnp.where(better, 0.0, jnp.maximum(10 * damping, 1e-2))
-        return x, gap, jacobian, damping, jnp.sum(dx**2), count + 1
+        normal = jacobian.T @ jacobian + damping * jnp.eye(manifold.dim)
+        step = -jnp.linalg.solve(normal, jacobian.T @ gap)
+        moving = jnp.sum(step**2) > 1e-26 * jnp.sum(x**2) + rounding
+        size = jnp.sum(gap**2)
+        return x, (gap, jacobian), size, step, damping, moving, count + 1
 
     def moving(state):
-        x, _, _, _, moved, count = state
-        return (moved > 1e-26 * jnp.sum(x**2) + rounding) & (count < _SHOTS)
+        *_, moving, count = state
+        return moving & (count < _SHOTS)
 
     rounding = 1e-31 * jnp.sum(p**2 + q**2)
-    x = frame.T @ _relaxed_start(manifold, p, q).ravel()
-    far = jnp.array(jnp.inf, x.dtype)
-    state = (x, *shot(x), jnp.zeros_like(far), far, jnp.array(0))
-    return (frame @ jax.lax.while_loop(moving, move, state)[0]).reshape(shape)
+    start = frame.T @ _relaxed_start(manifold, p, q).ravel()
+    nothing = (jnp.zeros(size, p.dtype), jnp.zeros((size, manifold.dim), p.dtype))
+    far = jnp.array(jnp.inf, p.dtype)
+    state = (jnp.zeros_like(start), nothing, far, start, jnp.zeros_like(far), True, 0)
+    x, _, _, step, *_ = jax.lax.while_loop(moving, move, state)
+    return (frame @ (x + step)).reshape(shape)
 
 
 @_shoot.def_jvp
@@ -176,25 +208,30 @@ def _shoot_jvp(primals, tangents):
 
 
 def _relaxed_start(manifold: AbstractManifold, p: Array, q: Array) -> Array:
-    """First guess of log_p(q): direction and length of a relaxed discrete curve."""
-    times = jnp.linspace(0.0, 1.0, _SEGMENTS + 1)[1:-1]
-    times = times.reshape(-1, *[1] * p.ndim)
-    # a small bend, so that no symmetry holds the curve on a saddle of the length
-    bend = jnp.cos(1.0 + jnp.arange(p.size)).reshape(p.shape)
-    bend = 1e-2 * jnp.sqrt(jnp.sum((q - p) ** 2)) * bend
-    inner = manifold.project(p + times * (q - p) + times * (1 - times) * bend)
+    """First guess of log_p(q): direction and length of the shortest of a few discrete
+    curves, relaxed from the chord and from bent chords (those pass holes otherwise)."""
+    times = jnp.linspace(0.0, 1.0, _SEGMENTS + 1)[1:-1].reshape(-1, *[1] * p.ndim)
+    bends = jax.random.normal(jax.random.key(0), (_CURVES, *p.shape), p.dtype)
+    bends = bends.at[0].multiply(0.01)  # not 0: symmetry could hold it on a saddle
+    bends = 2.0 * jnp.sqrt(jnp.mean((q - p) ** 2)) * bends[:, None]
+    inner = p + times * (q - p) + times * (1 - times) * bends
+    ends = jnp.broadcast_to(jnp.stack([p, q]), (_CURVES, 2, *p.shape))
+
+    def whole(inner):
+        return jnp.concatenate([ends[:, :1], inner, ends[:, 1:]], axis=1)
 
     def sweep(_, inner):
-        curve = jnp.concatenate([p[None], inner, q[None]])
-        return manifold.project((curve[:-2] + curve[2:]) / 2)
+        curve = whole(inner)
+        return manifold.project((curve[:, :-2] + curve[:, 2:]) / 2)
 
     inner = jax.lax.fori_loop(0, _SWEEPS, sweep, inner)
-    curve = jnp.concatenate([p[None], inner, q[None]])
-    steps = jnp.diff(curve, axis=0).reshape(_SEGMENTS, -1)
-    length = jnp.sum(jnp.sqrt(jnp.sum(steps**2, axis=1)))
-    direction = manifold.tangent_projection(p, inner[0] - p)
+    steps = jnp.diff(whole(inner), axis=1).reshape(_CURVES, _SEGMENTS, -1)
+    lengths = jnp.sum(jnp.sqrt(jnp.sum(steps**2, axis=2)), axis=1)
+    best = jnp.nanargmin(lengths)
+    direction = manifold.tangent_projection(p, steps[best, 0].reshape(p.shape))
     size = jnp.sqrt(jnp.sum(direction**2))
-    return direction * jnp.where(size > 0, length / jnp.where(size > 0, size, 1), 0)
+    scale = lengths[best] / jnp.where(size > 0, size, 1.0)
+    return direction * jnp.where(size > 0, scale, 0.0)
 
 
 def implicit_solution(
@@ -242,8 +279,8 @@ def implicit_projection(
 
     **Arguments:** three functions of the manifold and of single points:
     `closest_point(manifold, p)`, never differentiated; `tangent_projection(manifold, y,
-    v)` and `second_fundamental_form(manifold, y, u, v)`, needed on N only. Fields of the
-    manifold get no derivatives (asking for them raises): use `implicit_solution` there.
+    v)` and `second_fundamental_form(manifold, y, u, v)`, needed on N only. Fields of
+    the manifold get no derivatives (asking for them raises): `implicit_solution` can.
     """
     closest = eqx.Partial(
         _closest, closest_point, tangent_projection, second_fundamental_form, manifold

@@ -1,0 +1,93 @@
+"""The infinite circular cylinder."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
+
+from .._numerics import angle_over_sine, cos_sinc, norm_squared, squared_angle
+from ._base import AbstractManifold
+
+
+class Cylinder(AbstractManifold):
+    r"""$\{(x, y, z) : x^2 + y^2 = r^2\} \subset \mathbb{R}^3$, isometric to a strip;
+    all formulas are those of the circle in $(x, y)$ and of the line in z.
+
+    **Arguments:** `radius` (default 1), a float or a traced scalar.
+    """
+
+    radius: ScalarLike = 1.0
+
+    def __check_init__(self):
+        if isinstance(self.radius, float | int) and not self.radius > 0:
+            raise ValueError(
+                f"Cylinder: `radius` must be positive, found {self.radius}."
+            )
+
+    @property
+    def dim(self) -> int:
+        return 2
+
+    @property
+    def point_shape(self) -> tuple[int, ...]:
+        return (3,)
+
+    @property
+    def reach(self) -> ScalarLike:
+        return self.radius
+
+    @property
+    def injectivity_radius(self) -> ScalarLike:
+        return np.pi * self.radius
+
+    def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
+        r"""$(r x/\rho, r y/\rho, z)$, $\rho^2 = x^2 + y^2$; NaN on the axis."""
+        plane, z = p[..., :2], p[..., 2:]
+        rho = jnp.linalg.norm(plane, axis=-1, keepdims=True)
+        return jnp.concatenate([self.radius * plane / rho, z], axis=-1)
+
+    def tangent_projection(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$v - (v_x x + v_y y)(x, y, 0)/\rho^2$."""
+        radial = p * _PLANE
+        along = jnp.sum(radial * v, axis=-1, keepdims=True)
+        return v - along * radial / jnp.sum(radial**2, axis=-1, keepdims=True)
+
+    def second_fundamental_form(
+        self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$-(u_x v_x + u_y v_y)(x, y, 0)/r^2$."""
+        bend = jnp.sum(u * v * _PLANE, axis=-1, keepdims=True)
+        return -bend * p * _PLANE / self.radius**2
+
+    def squared_distance(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$r^2 F(q/r^2) + (z_p - z_q)^2$, q the squared chord in (x, y)."""
+        gap = p - q
+        chord2 = norm_squared(gap * _PLANE) / self.radius**2
+        return gap[..., 2] ** 2 + self.radius**2 * squared_angle(chord2)
+
+    def exp(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """A helix: the circle's geodesic in (x, y), a straight line in z."""
+        turn = norm_squared(v * _PLANE)[..., None] / self.radius**2
+        cosine, sinc = cos_sinc(turn)
+        return (cosine * p + sinc * v) * _PLANE + (p + v) * (1.0 - _PLANE)
+
+    def log(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$\frac{\theta}{\sin\theta} P_p q$ in (x, y) and $z_q - z_p$."""
+        chord2 = norm_squared((p - q) * _PLANE)[..., None] / self.radius**2
+        circle = angle_over_sine(chord2) * self.tangent_projection(p, q)
+        return circle * _PLANE + (q - p) * (1.0 - _PLANE)
+
+    def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
+        """Uniform around the axis, standard normal along it."""
+        return self.project(jax.random.normal(key, (n, 3)))
+
+
+_PLANE = np.array([1.0, 1.0, 0.0])  # keeps (x, y), drops z

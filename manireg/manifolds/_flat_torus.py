@@ -1,0 +1,107 @@
+"""The flat torus: periodic data, with the energies of flat space."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
+
+from .._numerics import angle_over_sine, cos_sinc, norm_squared, squared_angle
+from ._base import AbstractManifold
+
+
+class FlatTorus(AbstractManifold):
+    r"""$T^n = S^1(r_1) \times \dots \times S^1(r_n) \subset \mathbb{R}^{2n}$; the point
+    with angles $\theta_i$ is $(r_1\cos\theta_1, r_1\sin\theta_1, r_2\cos\theta_2, ..)$.
+
+    **Arguments:** `dim` the dimension n >= 1; `radii` (default 1), one for all or
+    `(n,)`.
+    """
+
+    dim: int = eqx.field(static=True)
+    radii: ScalarLike | Float[Array, " n"] = 1.0
+
+    def __check_init__(self):
+        if self.dim < 1:
+            raise ValueError(f"FlatTorus: `dim` must be at least 1, found {self.dim}.")
+        if jnp.shape(self.radii) not in ((), (self.dim,)):
+            raise ValueError(
+                f"FlatTorus: `radii` must be a scalar or of shape ({self.dim},), found "
+                f"shape {jnp.shape(self.radii)}."
+            )
+        if isinstance(self.radii, float | int) and not self.radii > 0:
+            raise ValueError(
+                f"FlatTorus: `radii` must be positive, found {self.radii}."
+            )
+
+    @property
+    def point_shape(self) -> tuple[int, ...]:
+        return (2 * self.dim,)
+
+    @property
+    def reach(self) -> ScalarLike:
+        return jnp.min(jnp.asarray(self.radii))
+
+    @property
+    def injectivity_radius(self) -> ScalarLike:
+        return np.pi * self.reach
+
+    def _circles(self, p: Array) -> tuple[Array, Array]:
+        """The points `(..., n, 2)` on the n circles, and the radii `(n, 1)`."""
+        radii = jnp.broadcast_to(jnp.asarray(self.radii), (self.dim,))
+        return p.reshape(*p.shape[:-1], self.dim, 2), radii[:, None]
+
+    def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
+        r"""$r_i p_i / |p_i|$ on each circle; NaN where some $p_i = 0$."""
+        x, radii = self._circles(p)
+        y = radii * x / jnp.linalg.norm(x, axis=-1, keepdims=True)
+        return y.reshape(p.shape)
+
+    def tangent_projection(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$v_i - \langle p_i, v_i \rangle p_i / |p_i|^2$."""
+        p, v = jnp.broadcast_arrays(p, v)
+        (x, _), (w, _) = self._circles(p), self._circles(v)
+        along = jnp.sum(x * w, axis=-1, keepdims=True)
+        w = w - along * x / jnp.sum(x * x, axis=-1, keepdims=True)
+        return w.reshape(v.shape)
+
+    def second_fundamental_form(
+        self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$-\langle u_i, v_i \rangle p_i / r_i^2$."""
+        p, u, v = jnp.broadcast_arrays(p, u, v)
+        (x, radii), (a, _), (b, _) = map(self._circles, (p, u, v))
+        bend = -jnp.sum(a * b, axis=-1, keepdims=True) * x / radii**2
+        return bend.reshape(p.shape)
+
+    def squared_distance(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$\sum_i r_i^2 F(|p_i - q_i|^2 / r_i^2)$, see `squared_angle`."""
+        gap, radii = self._circles(p - q)
+        chord2 = norm_squared(gap)[..., None] / radii**2
+        return jnp.sum(radii**2 * squared_angle(chord2), axis=(-2, -1))
+
+    def exp(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""The turn by $|v_i| / r_i$ on each circle."""
+        p, v = jnp.broadcast_arrays(p, v)
+        (x, radii), (w, _) = self._circles(p), self._circles(v)
+        cosine, sinc = cos_sinc(norm_squared(w)[..., None] / radii**2)
+        return (cosine * x + sinc * w).reshape(p.shape)
+
+    def log(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$\frac{\theta_i}{\sin\theta_i} P_{p_i} q_i$ on each circle."""
+        gap, radii = self._circles(p - q)
+        ratio = angle_over_sine(norm_squared(gap)[..., None] / radii**2)
+        tangent, _ = self._circles(self.tangent_projection(p, q))
+        return (ratio * tangent).reshape(gap.shape[:-2] + self.point_shape)
+
+    def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
+        """Uniform."""
+        return self.project(jax.random.normal(key, (n, *self.point_shape)))

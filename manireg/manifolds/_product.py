@@ -1,0 +1,111 @@
+"""Products of manifolds: several responses at once."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
+
+from ._base import AbstractManifold
+
+
+class Product(AbstractManifold):
+    r"""$N_1 \times \dots \times N_k$ with $d^2 = \sum_i d_i^2$; everything acts factor
+    by factor. A point is the factors' points, flattened and concatenated, see `join`.
+
+    **Arguments:** the factors, one after the other: `Product(Sphere(2), Euclidean(1))`.
+    """
+
+    factors: tuple[AbstractManifold, ...]
+
+    def __init__(self, *factors: AbstractManifold):
+        self.factors = factors
+
+    def __check_init__(self):
+        if not self.factors:
+            raise ValueError("Product: at least one factor is needed, found none.")
+
+    @property
+    def dim(self) -> int:
+        return sum(factor.dim for factor in self.factors)
+
+    @property
+    def point_shape(self) -> tuple[int, ...]:
+        return (sum(math.prod(factor.point_shape) for factor in self.factors),)
+
+    @property
+    def reach(self) -> ScalarLike:
+        """The smallest of the factors' reaches."""
+        return jnp.min(jnp.stack([jnp.asarray(f.reach) for f in self.factors]))
+
+    @property
+    def injectivity_radius(self) -> ScalarLike:
+        """The smallest of the factors' injectivity radii."""
+        radii = [jnp.asarray(f.injectivity_radius) for f in self.factors]
+        return jnp.min(jnp.stack(radii))
+
+    def split(self, p: Float[Array, "..."]) -> tuple[Float[Array, "..."], ...]:
+        """The factors' points (or vectors), each `(..., *factor.point_shape)`."""
+        parts, start = [], 0
+        for factor in self.factors:
+            stop = start + math.prod(factor.point_shape)
+            part = p[..., start:stop]
+            parts.append(part.reshape(*p.shape[:-1], *factor.point_shape))
+            start = stop
+        return tuple(parts)
+
+    def join(self, *parts: Float[Array, "..."]) -> Float[Array, "..."]:
+        """The inverse of `split`; leading dimensions broadcast."""
+        if len(parts) != len(self.factors):
+            raise ValueError(
+                f"Product.join: {len(self.factors)} parts are needed, one a factor; "
+                f"found {len(parts)}."
+            )
+        flat = []
+        for factor, part in zip(self.factors, parts, strict=True):
+            batch = part.shape[: part.ndim - len(factor.point_shape)]
+            flat.append(part.reshape(*batch, math.prod(factor.point_shape)))
+        batch = jnp.broadcast_shapes(*(part.shape[:-1] for part in flat))
+        flat = [jnp.broadcast_to(part, (*batch, part.shape[-1])) for part in flat]
+        return jnp.concatenate(flat, axis=-1)
+
+    def _each(self, method: str, *points: Array) -> list[Array]:
+        parts = zip(*(self.split(p) for p in points), strict=True)
+        return [
+            getattr(factor, method)(*part)
+            for factor, part in zip(self.factors, parts, strict=True)
+        ]
+
+    def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
+        return self.join(*self._each("project", p))
+
+    def tangent_projection(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        return self.join(*self._each("tangent_projection", p, v))
+
+    def second_fundamental_form(
+        self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        return self.join(*self._each("second_fundamental_form", p, u, v))
+
+    def squared_distance(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        return sum(self._each("squared_distance", p, q), jnp.zeros(()))
+
+    def exp(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        return self.join(*self._each("exp", p, v))
+
+    def log(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        return self.join(*self._each("log", p, q))
+
+    def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
+        """Independent random points of the factors."""
+        keys = jax.random.split(key, len(self.factors))
+        parts = zip(self.factors, keys, strict=True)
+        return self.join(*(factor.random_points(k, n) for factor, k in parts))

@@ -1,0 +1,118 @@
+"""The torus of revolution, curved and with geodesics that only integration gives."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
+
+from .._numerics import norm_squared
+from ._base import AbstractManifold
+from ._generic import geodesic_exp, shooting_log
+
+
+class Torus(AbstractManifold):
+    r"""$((R + r\cos\theta)\cos\varphi, (R + r\cos\theta)\sin\varphi, r\sin\theta)$ in
+    $\mathbb{R}^3$: a tube of radius r about a circle of radius R, the core.
+
+    **Arguments:** `major` the radius R of the core, `minor` the radius r < R of the
+    tube, floats or traced scalars.
+    """
+
+    major: ScalarLike = 2.0
+    minor: ScalarLike = 1.0
+
+    def __check_init__(self):
+        R, r = self.major, self.minor
+        if isinstance(R, float | int) and isinstance(r, float | int):
+            if not 0 < r < R:
+                raise ValueError(
+                    "Torus: `minor` must be positive and smaller than `major`, or the "
+                    f"surface meets itself; found {r} and {R}."
+                )
+
+    @property
+    def dim(self) -> int:
+        return 2
+
+    @property
+    def point_shape(self) -> tuple[int, ...]:
+        return (3,)
+
+    @property
+    def reach(self) -> ScalarLike:
+        r"""$\min(r, R - r)$: to the core, or to the axis."""
+        return jnp.minimum(self.minor, jnp.subtract(self.major, self.minor))
+
+    @property
+    def injectivity_radius(self) -> ScalarLike:
+        r"""$\pi\min(r, R - r)$, half the shortest closed geodesic: a meridian or the
+        inner equator (conjugate points are no closer than $\pi\sqrt{r(R + r)}$)."""
+        return np.pi * self.reach
+
+    def _core(self, p: Array) -> tuple[Array, Array, Array]:
+        """Distance of p to the axis, the closest core point, and the unit normal."""
+        plane = p[..., :2]
+        rho = jnp.linalg.norm(plane, axis=-1, keepdims=True)
+        core = jnp.concatenate(
+            [self.major * plane / rho, jnp.zeros_like(p[..., 2:])], axis=-1
+        )
+        normal = p - core
+        return rho, core, normal / jnp.linalg.norm(normal, axis=-1, keepdims=True)
+
+    def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
+        r"""$c + r (p - c)/|p - c|$, c the closest point of the core; undefined (NaN) on
+        the core and on the axis."""
+        _, core, normal = self._core(p)
+        return core + self.minor * normal
+
+    def tangent_projection(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$v - \langle \nu, v \rangle \nu$, $\nu = (p - c)/|p - c|$."""
+        _, _, normal = self._core(p)
+        return v - jnp.sum(normal * v, axis=-1, keepdims=True) * normal
+
+    def second_fundamental_form(
+        self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$-\big(\langle u, v \rangle / r + (\cos\theta/\rho - 1/r) u_\varphi
+        v_\varphi\big) \nu$: principal curvatures $-1/r$ along the meridian and
+        $-\cos\theta/\rho$ along the parallel, $\rho = R + r\cos\theta$."""
+        rho, _, normal = self._core(p)
+        cosine = (rho - self.major) / self.minor
+        u_phi = (p[..., :1] * u[..., 1:2] - p[..., 1:2] * u[..., :1]) / rho
+        v_phi = (p[..., :1] * v[..., 1:2] - p[..., 1:2] * v[..., :1]) / rho
+        meridian = jnp.sum(u * v, axis=-1, keepdims=True) / self.minor
+        parallel = (cosine / rho - 1.0 / self.minor) * u_phi * v_phi
+        return -(meridian + parallel) * normal
+
+    def squared_distance(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$|\log_p q|^2$."""
+        return norm_squared(self.log(p, q))
+
+    def exp(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """By `geodesic_exp`."""
+        return geodesic_exp(self, p, v)
+
+    def log(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """By `shooting_log`."""
+        return shooting_log(self, p, q)
+
+    def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
+        r"""Uniform by area: a uniform $\theta$ becomes $\pi - \theta$ with the
+        probability that turns its density into $1 + (r/R)\cos\theta$."""
+        k1, k2, k3 = jax.random.split(key, 3)
+        phi = jax.random.uniform(k1, (n,), maxval=2 * np.pi)
+        theta = jax.random.uniform(k2, (n,), maxval=2 * np.pi)
+        keep = (1.0 + self.minor / self.major * jnp.cos(theta)) / 2.0
+        theta = jnp.where(jax.random.uniform(k3, (n,)) < keep, theta, np.pi - theta)
+        rho = self.major + self.minor * jnp.cos(theta)
+        return jnp.stack(
+            [rho * jnp.cos(phi), rho * jnp.sin(phi), self.minor * jnp.sin(theta)], -1
+        )
