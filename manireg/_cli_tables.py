@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from . import manifolds
+from .datasets._tables import directions, unit
 
 Columns = dict[str, np.ndarray]
 
@@ -92,9 +93,7 @@ def _lat_lon(values: np.ndarray, columns: tuple[str, ...], file: Path) -> Target
             f"{file}: latitude `{columns[0]}` leaves [-90, 90] degrees. Give --lat-lon "
             "as latitude,longitude."
         )
-    lat, lon = np.radians(values.T)
-    x, y = np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon)
-    points = np.stack([x, y, np.sin(lat)], axis=-1)
+    points = directions(*values.T)
     start = _first_longitude(values[:, 1])
 
     def decode(p: np.ndarray) -> np.ndarray:
@@ -147,9 +146,8 @@ def _quaternions(p: np.ndarray) -> np.ndarray:
 
 
 def _unit(values: np.ndarray, what: str, file: Path) -> np.ndarray:
-    length = np.linalg.norm(values, axis=-1)
-    _close(np.abs(length - 1), what, file)
-    return values / length[:, None]
+    _close(np.abs(np.linalg.norm(values, axis=-1) - 1), what, file)
+    return unit(values)
 
 
 def _close(distance: np.ndarray, what: str, file: Path) -> None:

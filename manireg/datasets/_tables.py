@@ -2,9 +2,12 @@
 
 import csv
 import os
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jaxtyping import ArrayLike
 
 
 def read_table(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
@@ -81,12 +84,14 @@ def rows_of(table: dict[str, np.ndarray], column: str, value: str):
     return {name: entries[keep] for name, entries in table.items()}
 
 
-def directions(latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
+def directions(latitude: ArrayLike, longitude: ArrayLike) -> np.ndarray:
     """Unit vectors (n, 3) from latitude and longitude in degrees."""
-    lat, lon = np.radians(latitude), np.radians(longitude)
+    lat, lon = np.radians(np.asarray(latitude)), np.radians(np.asarray(longitude))
     x, y = np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon)
     return np.stack([x, y, np.sin(lat)], axis=-1)
 
 
-def unit(vectors: np.ndarray) -> np.ndarray:
+def unit(vectors: Sequence[Any] | ArrayLike) -> np.ndarray:
+    """`vectors` (..., t) scaled to length 1."""
+    vectors = np.asarray(vectors, np.float64)
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

@@ -1,0 +1,15 @@
+"""Pictures for papers and notebooks: globes, cross-validation curves, coordinates.
+
+matplotlib comes with the extra `plots` and is imported when a picture is drawn, without
+pyplot: figures carry no global state, show themselves in notebooks, and `save` writes
+them for print.
+"""
+
+from ._charts import coordinates as coordinates, cv_curve as cv_curve
+from ._figure import figure as figure, save as save
+from ._globe import (
+    Globe as Globe,
+    globe as globe,
+    sphere_path as sphere_path,
+    view_of as view_of,
+)

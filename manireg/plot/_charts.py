@@ -1,0 +1,102 @@
+"""Cross-validation curves, and coordinates against inputs."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ._figure import BLUE, ORANGE, STYLE, ArrayLike, figure, figure_of, matplotlib
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+else:
+    Axes = Figure = Any
+
+
+def cv_curve(cv: Any, *, ax: Axes | None = None) -> Figure:
+    """Mean held-out score over the folds against lambda, with its standard error, and
+    the lambda chosen; `cv` as `cross_validate` returns it."""
+    with matplotlib().rc_context(STYLE):
+        lams, scores = np.asarray(cv.lams), np.asarray(cv.scores)
+        order = np.argsort(lams)
+        lams, scores = lams[order], scores[:, order]
+        mean = scores.mean(0)
+        error = scores.std(0, ddof=1) / np.sqrt(len(scores))
+        ax = figure(3.4, 2.3).add_subplot() if ax is None else ax
+        style = {"fmt": "o-", "ms": 3, "lw": 1, "elinewidth": 0.7, "capsize": 1.5}
+        ax.errorbar(lams, mean, error, color=BLUE, **style)
+        lam = float(cv.lam)
+        label = rf"$\lambda = {lam:.2g}$"
+        ax.axvline(lam, color=ORANGE, lw=1, ls="--", zorder=0, label=label)
+        ax.set(xscale="log", xlabel=r"$\lambda$", ylabel="mean squared held-out error")
+        if mean.max() > 10 * mean.min():
+            low = (mean - error)[mean > error].min()
+            ax.set(yscale="log", ylim=(low / 1.3, 1.3 * (mean + error).max()))
+        ax.legend()
+        return figure_of(ax)
+
+
+def coordinates(
+    model: Any,
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    names: tuple[str, ...] | None = None,
+    label: str | tuple[str, ...] = "input",
+) -> Figure:
+    """Each coordinate of data `y` (k, ...) and `model` against one or two inputs `x`,
+    (k,) or (k, 2), a panel each: curves for one input, maps for two, with the data as
+    dots in the same colours. `names` of the coordinates, `label` of the inputs."""
+    with matplotlib().rc_context(STYLE):
+        x, y = np.asarray(x), np.asarray(y)
+        if x.ndim == 2 and x.shape[1] > 2 or x.ndim > 2:
+            raise ValueError(
+                f"Pictures need one or two inputs, `x` has shape {x.shape}."
+            )
+        shape, data = y.shape[1:] or (1,), y.reshape(len(y), -1)
+        across = shape[-1] if len(shape) == 2 else min(3, data.shape[1])
+        down = -(-data.shape[1] // across)
+        picture = figure(0.5 + 2.1 * across, 0.5 + 1.5 * down)
+        draw = _curves if x.size == len(x) else _maps
+        panels = picture.subplots(
+            down, across, squeeze=False, sharex=True, sharey=draw is _maps
+        )
+        draw(panels.flat, model, x, data)
+        labels = (label,) if isinstance(label, str) else label
+        for c, panel in enumerate(panels.flat):
+            if c >= data.shape[1]:
+                panel.set_axis_off()
+                continue
+            indices = ",".join(str(1 + int(i)) for i in np.unravel_index(c, shape))
+            name = names[c] if names else f"$y_{{{indices}}}$"
+            if draw is _curves:
+                panel.set_ylabel(name)
+            else:
+                panel.set(title=name, ylabel=labels[-1] if c % across == 0 else None)
+        for panel in panels[-1]:
+            panel.set_xlabel(labels[0])
+        return picture
+
+
+def _curves(panels: Any, model: Any, x: np.ndarray, data: np.ndarray) -> None:
+    inputs = np.linspace(x.min(), x.max(), 500)
+    curve = np.asarray(model(inputs.reshape(-1, *x.shape[1:]))).reshape(500, -1)
+    for panel, fitted, observed in zip(panels, curve.T, data.T, strict=False):
+        panel.plot(inputs, fitted, color=BLUE, lw=1.2)
+        panel.plot(x.ravel(), observed, ".", color=ORANGE, ms=3.5, mew=0)
+
+
+def _maps(panels: Any, model: Any, x: np.ndarray, data: np.ndarray) -> None:
+    axes = [
+        np.linspace(low, high, 60) for low, high in zip(x.min(0), x.max(0), strict=True)
+    ]
+    grid = np.stack(np.meshgrid(*axes), axis=-1)
+    values = np.asarray(model(grid.reshape(-1, 2))).reshape(3600, -1)
+    for panel, fitted, observed in zip(panels, values.T, data.T, strict=False):
+        low, high = min(fitted.min(), observed.min()), max(fitted.max(), observed.max())
+        options = {"vmin": low, "vmax": high, "cmap": "cividis"}
+        shade = {"shading": "gouraud", "rasterized": True}
+        mesh = panel.pcolormesh(*axes, fitted.reshape(60, 60), **options, **shade)
+        dots = {"s": 9, "edgecolors": "white", "linewidths": 0.4, "clip_on": False}
+        panel.scatter(*x.T, c=observed, **options, **dots)
+        figure_of(panel).colorbar(mesh, ax=panel, aspect=25).outline.set_linewidth(0.4)
