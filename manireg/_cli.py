@@ -13,6 +13,7 @@ from rich.table import Table
 
 import manireg as mr
 
+from . import datasets, plot
 from ._cli_tables import Columns, Target, TargetName, numbers, read_target, write_table
 
 app = typer.Typer(
@@ -46,7 +47,7 @@ def setup() -> None:
 def demo(
     plate: Annotated[
         str,
-        typer.Option(help=f"One of {', '.join(mr.datasets.polar_wander_plates())}."),
+        typer.Option(help=f"One of {', '.join(datasets.polar_wander_plates())}."),
     ] = "india",
     out: Out = Path("demo.png"),
     folds: Folds = 10,
@@ -60,7 +61,7 @@ def demo(
     """
     with _clean_errors():
         _check_written(out)
-        path = mr.datasets.polar_wander(plate)
+        path = datasets.polar_wander(plate)
         source = mr.Interval(path.ages[0], path.ages[-1])
         start = time.perf_counter()
         cv = mr.cross_validate(
@@ -74,14 +75,14 @@ def demo(
         )
         jax.block_until_ready(cv.scores)
         seconds = time.perf_counter() - start
-        picture = mr.plot.sphere_path(
+        picture = plot.sphere_path(
             cv.model,
             path.ages,
             path.directions,
             a95=path.a95,
             label="age (million years)",
         )
-        mr.plot.save(picture, out)
+        plot.save(picture, out)
         data = f"{len(path.ages)} poles of {plate}, 0 to {path.ages[-1]:.0f} Ma"
         _report(data, cv.model, cv, np.degrees(1.0), seconds, [out])
 
@@ -148,7 +149,7 @@ def fit(
     """
     with _clean_errors():
         _check_written(picture, out)
-        table = mr.datasets.read_table(data)
+        table = datasets.read_table(data)
         inputs = _names(input)
         x = numbers(table, inputs, "--input", data)
         if (output is None) == (lat_lon is None):
@@ -193,9 +194,16 @@ def _clean_errors():
     try:
         yield
     except (ValueError, OSError, ModuleNotFoundError) as error:
-        message = " ".join(str(error).split())
-        typer.secho(f"manireg: {message}", fg="red", err=True)
-        raise typer.Exit(2) from None
+        message = str(error)
+    except RuntimeError as error:
+        # equinox's message is the last paragraph before its ruler
+        reason = str(error).split("\n---")[0].strip().splitlines()[-1]
+        reason = reason.removeprefix("equinox.EquinoxRuntimeError: ")
+        message = f"the fit failed: {reason} Try a larger --lam."
+    else:
+        return
+    typer.secho(f"manireg: {' '.join(message.split())}", fg="red", err=True)
+    raise typer.Exit(2)
 
 
 def _check_written(picture: Path | None, *others: Path) -> None:
@@ -206,7 +214,7 @@ def _check_written(picture: Path | None, *others: Path) -> None:
     if picture is not None:
         if picture.suffix not in (".png", ".pdf", ".svg"):
             raise ValueError(f"{picture}: a picture ends in .png, .pdf or .svg.")
-        mr.plot.figure()
+        plot.figure()
 
 
 def _names(columns: str | None) -> list[str]:
@@ -234,7 +242,7 @@ def _queries(predict: str, x: np.ndarray, inputs: list[str]) -> np.ndarray:
     """Inputs (n, m) to predict at: a grid over the data, or the rows of a file."""
     if not predict.isdecimal():
         file = Path(predict)
-        return numbers(mr.datasets.read_table(file), inputs, "--input", file)
+        return numbers(datasets.read_table(file), inputs, "--input", file)
     each = max(2, round(int(predict) ** (1 / len(inputs))))
     axes = [np.linspace(a, b, each) for a, b in zip(x.min(0), x.max(0), strict=True)]
     grid = np.meshgrid(*axes, indexing="ij")
@@ -245,16 +253,16 @@ def _draw(path: Path, model: Any, x: np.ndarray, there: Target, inputs: list[str
     y, one = there.points, x.ndim == 1
     names = there.columns if y[0].size == len(there.columns) else None
     if one and isinstance(there.manifold, mr.Sphere) and there.manifold.dim == 2:
-        picture = mr.plot.sphere_path(model, x, y, label=inputs[0])
+        picture = plot.sphere_path(model, x, y, label=inputs[0])
     elif one and len(there.columns) < y[0].size == 2:
-        picture = mr.plot.coordinates(
+        picture = plot.coordinates(
             *_unwrapped(model, x, there),
             names=(f"{there.columns[0]} (degrees)",),
             label=inputs[0],
         )
     else:
-        picture = mr.plot.coordinates(model, x, y, names=names, label=tuple(inputs))
-    mr.plot.save(picture, path)
+        picture = plot.coordinates(model, x, y, names=names, label=tuple(inputs))
+    plot.save(picture, path)
 
 
 def _unwrapped(model: Any, x: np.ndarray, there: Target):

@@ -6,8 +6,6 @@ can be the source of a regression.
 """
 
 import functools
-from collections.abc import Callable
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,16 +15,10 @@ from jaxtyping import Array, Float
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
-from .manifolds import (
-    AbstractManifold,
-    Cylinder,
-    Euclidean,
-    FlatTorus,
-    Product,
-    Sphere,
-    SymmetricPositiveDefinite,
-    Torus,
-)
+from ._charts import Chart, chart_of
+from ._frames import tangent_frames
+from ._sources import Source
+from .manifolds import AbstractManifold, Product, Sphere
 
 
 class Domain(eqx.Module):
@@ -46,172 +38,6 @@ class Domain(eqx.Module):
         return self.frames.shape[-1]
 
 
-class Box(eqx.Module):
-    r"""The box $\prod_a [lower_a, upper_a] \subset \mathbb{R}^m$ as a source.
-
-    **Arguments:** `lower`, `upper`: sequences of m numbers, lower < upper.
-    Points are arrays `(..., m)`.
-    """
-
-    lower: tuple[float, ...] = eqx.field(static=True, converter=lambda v: _floats(v))
-    upper: tuple[float, ...] = eqx.field(static=True, converter=lambda v: _floats(v))
-
-    def __check_init__(self):
-        if len(self.lower) != len(self.upper):
-            raise ValueError(
-                "Box: `lower` and `upper` must have the same length, found "
-                f"{len(self.lower)} and {len(self.upper)}."
-            )
-        _check_bounds("Box", self.lower, self.upper)
-
-    @property
-    def dim(self) -> int:
-        return len(self.lower)
-
-    @property
-    def point_shape(self) -> tuple[int, ...]:
-        return (self.dim,)
-
-
-class Interval(eqx.Module):
-    """The interval [a, b] as a source. Points are arrays `(...,)`: plain numbers."""
-
-    a: float = eqx.field(static=True, converter=float)
-    b: float = eqx.field(static=True, converter=float)
-
-    def __check_init__(self):
-        _check_bounds("Interval", (self.a,), (self.b,))
-
-    @property
-    def dim(self) -> int:
-        return 1
-
-    @property
-    def point_shape(self) -> tuple[int, ...]:
-        return ()
-
-
-Source = AbstractManifold | Box | Interval
-
-
-def _floats(values) -> tuple[float, ...]:
-    return tuple(float(v) for v in np.atleast_1d(np.asarray(values, dtype=float)))
-
-
-def _check_bounds(name, lower, upper):
-    if not (np.all(np.isfinite(lower)) and np.all(np.isfinite(upper))):
-        raise ValueError(f"{name}: bounds must be finite, found {lower} and {upper}.")
-    if not np.all(np.asarray(lower) < np.asarray(upper)):
-        raise ValueError(
-            f"{name}: the lower bound must be below the upper one, found {lower} and "
-            f"{upper}."
-        )
-
-
-# -- charts: sources that are the image of a product of intervals and circles ----------
-
-
-class _Chart(NamedTuple):
-    """u -> embed(u) on a box of coordinates, some of them periodic."""
-
-    lower: np.ndarray
-    upper: np.ndarray
-    periodic: tuple[bool, ...]
-    embed: Callable[[Array], Array]
-
-
-@functools.singledispatch
-def _chart(source, around) -> _Chart | None:
-    return None
-
-
-@_chart.register
-def _(source: Interval, around):
-    return _Chart(np.array([source.a]), np.array([source.b]), (False,), lambda u: u)
-
-
-@_chart.register
-def _(source: Box, around):
-    bounds = np.array(source.lower), np.array(source.upper)
-    return _Chart(*bounds, (False,) * source.dim, lambda u: u)
-
-
-@_chart.register
-def _(source: Euclidean, around):
-    return _Chart(*_extent(source, around), (False,) * source.dim, lambda u: u)
-
-
-@_chart.register
-def _(source: SymmetricPositiveDefinite, around):
-    """Flat: orthonormal coordinates of the linear span, cut to the data."""
-    basis = tangent_frames(source, np.zeros((1, np.prod(source.point_shape))))[0]
-    bounds = _extent(source, None if around is None else around @ basis)
-    return _Chart(*bounds, (False,) * source.dim, lambda u: jnp.asarray(basis) @ u)
-
-
-@_chart.register
-def _(source: FlatTorus, around):
-    radii = jnp.broadcast_to(jnp.asarray(source.radii), (source.dim,))
-
-    def embed(u):
-        circles = radii * jnp.stack([jnp.cos(u), jnp.sin(u)])
-        return circles.T.ravel()
-
-    turn = np.full(source.dim, 2 * np.pi)
-    return _Chart(0 * turn, turn, (True,) * source.dim, embed)
-
-
-@_chart.register
-def _(source: Cylinder, around):
-    height = None if around is None else around[:, 2:]
-    low, high = (np.append(end, z) for end, z in zip((0.0, 2 * np.pi), _extent(source, height)))
-
-    def embed(u):
-        return jnp.array(
-            [source.radius * jnp.cos(u[0]), source.radius * jnp.sin(u[0]), u[1]]
-        )
-
-    return _Chart(low, high, (True, False), embed)
-
-
-@_chart.register
-def _(source: Torus, around):
-    def embed(u):
-        rho = source.R + source.r * jnp.cos(u[1])
-        return jnp.array(
-            [rho * jnp.cos(u[0]), rho * jnp.sin(u[0]), source.r * jnp.sin(u[1])]
-        )
-
-    turn = np.full(2, 2 * np.pi)
-    return _Chart(0 * turn, turn, (True, True), embed)
-
-
-@_chart.register
-def _(source: Sphere, around):
-    if source.dim != 1:
-        return None
-    circle = lambda u: source.radius * jnp.array([jnp.cos(u[0]), jnp.sin(u[0])])
-    return _Chart(np.zeros(1), np.array([2 * np.pi]), (True,), circle)
-
-
-def _extent(source, coordinates):
-    """Bounding box of the data, for a source that is not bounded by itself."""
-    if coordinates is None:
-        raise ValueError(
-            f"{type(source).__name__} is unbounded as a source: pass `around`, the data "
-            "points whose bounding box is to be covered."
-        )
-    lower, upper = coordinates.min(axis=0), coordinates.max(axis=0)
-    if not np.all(lower < upper):
-        raise ValueError(
-            f"{type(source).__name__} as a source is cut to the bounding box of `x`, "
-            f"which is empty: all points agree in a coordinate ({lower} to {upper})."
-        )
-    return lower, upper
-
-
-# -- discretisation ------------------------------------------------------------------
-
 _NODES_PER_SPACING = {1: 10, 2: 4}  # Gauss nodes a centre and axis; 3 from dimension 3
 _CLOUD = 12  # random points of the cloud per quadrature point
 _TANGENT_SAMPLES = 256  # points per Voronoi cell volume
@@ -220,7 +46,7 @@ _TANGENT_SAMPLES = 256  # points per Voronoi cell volume
 def centres_of(source: Source, n: int, around=None) -> Domain:
     """About `n` quasi-uniform points of `source`, boundary included, as basis centres.
     The weights are not meant for integration. Arguments as for `discretise`."""
-    chart = _chart(source, around)
+    chart = chart_of(source, around)
     if chart is not None:
         spacings = _axis_counts(chart, n)
         axes = []
@@ -252,7 +78,7 @@ def discretise(source: Source, n: int, around=None) -> Domain:
     volume of their Voronoi cells, measured in the tangent space.
     """
     per_axis = _NODES_PER_SPACING.get(source.dim, 3)
-    chart = _chart(source, around)
+    chart = chart_of(source, around)
     if chart is not None:
         axes = []
         for low, high, periodic, count in zip(
@@ -271,7 +97,7 @@ def discretise(source: Source, n: int, around=None) -> Domain:
     return _quasi_uniform(source, n * per_axis**source.dim, with_weights=True)
 
 
-def _axis_counts(chart: _Chart, n: int) -> list[int]:
+def _axis_counts(chart: Chart, n: int) -> list[int]:
     """Spacings along each axis so that cells are about cubes and `n` in number."""
     steps = np.linspace(0, 1, 65)[:, None] * (chart.upper - chart.lower)
     middle = 0.5 * (chart.lower + chart.upper)
@@ -292,7 +118,7 @@ def _gauss_panels(a: float, b: float, panels: int, nodes: int):
     return (edges[:-1, None] + half * (1 + x)).ravel(), (half * w).ravel()
 
 
-def _grid(source: Source, chart: _Chart, axes) -> Domain:
+def _grid(source: Source, chart: Chart, axes) -> Domain:
     coordinates = np.stack(np.meshgrid(*(x for x, _ in axes), indexing="ij"), -1)
     weights = functools.reduce(np.multiply.outer, (w for _, w in axes)).ravel()
     u = jnp.asarray(coordinates.reshape(len(weights), -1))
@@ -300,7 +126,7 @@ def _grid(source: Source, chart: _Chart, axes) -> Domain:
     jacobian = jax.vmap(jax.jacfwd(chart.embed))(u)
     frames, triangle = jnp.linalg.qr(jacobian)
     volume = jnp.abs(jnp.prod(jnp.diagonal(triangle, axis1=-2, axis2=-1), axis=-1))
-    return _with_second_forms(source, points, frames, volume * weights)
+    return with_second_forms(source, points, frames, volume * weights)
 
 
 def _product_domain(source: Product, n: int, around, build) -> Domain:
@@ -318,7 +144,7 @@ def _product_domain(source: Product, n: int, around, build) -> Domain:
     frames = jax.vmap(jax.scipy.linalg.block_diag)(*(d.frames for d in picked))
     points = jnp.concatenate([d.points for d in picked], axis=1)
     weights = functools.reduce(jnp.multiply, (d.weights for d in picked))
-    return _with_second_forms(source, points, frames, weights)
+    return with_second_forms(source, points, frames, weights)
 
 
 def _quasi_uniform(source: AbstractManifold, n: int, with_weights: bool) -> Domain:
@@ -333,7 +159,7 @@ def _quasi_uniform(source: AbstractManifold, n: int, with_weights: bool) -> Doma
         weights = np.ones(n)
         if with_weights:
             weights = _voronoi_volumes(source, points, frames)
-    return _with_second_forms(source, points, frames, weights)
+    return with_second_forms(source, points, frames, weights)
 
 
 def _fibonacci(n: int) -> np.ndarray:
@@ -384,24 +210,7 @@ def _voronoi_volumes(source, points, frames) -> np.ndarray:
     return np.sum(own * np.asarray(volume), axis=1) * ball_volume / len(ball)
 
 
-def tangent_frames(source: AbstractManifold, points) -> np.ndarray:
-    """Orthonormal frames (Q, s, m) of the tangent spaces, from the tangent projections."""
-    s = points.shape[1]
-    axes = jnp.eye(s).reshape(s, *source.point_shape)
-    project = lambda p: jax.vmap(lambda v: source.tangent_projection(p, v))(axes)
-    batch = jnp.asarray(points).reshape(-1, *source.point_shape)
-    projectors = np.asarray(jax.vmap(project)(batch)).reshape(-1, s, s)
-    symmetric = 0.5 * (projectors + projectors.transpose(0, 2, 1))
-    return np.linalg.eigh(symmetric)[1][:, :, -source.dim :]
-
-
-def complete_frames(frames: Float[Array, "K s m"]) -> Float[Array, "K s s"]:
-    """Tangent frames followed by an orthonormal basis of the normal space."""
-    normals = jnp.linalg.qr(frames, mode="complete")[0][:, :, frames.shape[-1] :]
-    return jnp.concatenate([frames, normals], axis=-1)
-
-
-def _with_second_forms(source: Source, points, frames, weights) -> Domain:
+def with_second_forms(source: Source, points, frames, weights) -> Domain:
     points, frames = jnp.asarray(points), jnp.asarray(frames)
     Q, s, m = frames.shape
     if isinstance(source, AbstractManifold):

@@ -2,7 +2,7 @@
 
 E(w) = sum_q weight_q phi(A_q w), so its Hessian is sum_q A_q^T (weight_q D^2 phi) A_q.
 `gauss_newton` replaces D^2 phi by 2 R^T R, R the Jacobian of the residuals through
-projector and projection: always positive semidefinite. `exact` differentiates phi twice.
+projector and projection: always positive semidefinite. `exact` differentiates twice.
 """
 
 import jax
@@ -11,29 +11,26 @@ from jaxtyping import Array, Float
 
 from ._densities import geodesic_loss, loss_factor, off_manifold_residual
 from ._jets import jet_values
-from ._objective import Problem, Stage, data_weights, energy_residual
+from ._objective import Stage, data_weights, energy_residual
+from ._problem import Problem
 from ._sparse import SparseSymmetric, scatter_add
 
 
 def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
     problem = stage.problem
 
-    def residuals(jet):
-        energy = jnp.sqrt(stage.lam) * energy_residual(stage, jet)
-        off = jnp.sqrt(stage.gamma) * off_manifold_residual(problem.target, jet[0])
-        return jnp.concatenate([energy.ravel(), off])
+    def density(jet, weight):
+        def residuals(jet):
+            energy = jnp.sqrt(stage.lam) * energy_residual(stage, jet)
+            off = jnp.sqrt(stage.gamma) * off_manifold_residual(problem.target, jet[0])
+            return jnp.concatenate([energy.ravel(), off])
 
-    jets = jet_values(problem.energy_jets, w)
-    factors = jax.vmap(jax.vmap(jax.jacfwd(residuals)))(jets)
-    scale = jnp.sqrt(2.0 * problem.energy_weights)[:, :, None, None, None]
-    energy = _square(scale * factors, problem.energy_jets.matrices)
+        return weight * _gram(jax.jacfwd(residuals)(jet))
 
-    values = jet_values(problem.data_jets, w)
-    factor = lambda psi: loss_factor(problem.target, psi)
-    factors = jax.vmap(jax.vmap(factor))(values[:, :, 0])[:, :, :, None]
-    scale = jnp.sqrt(2.0 * data_weights(problem))[:, :, None, None, None]
-    data = _square(scale * factors, problem.data_jets.matrices)
-    return _assemble(problem, energy, data)
+    def loss(jet, _, weight):
+        return weight * _gram(loss_factor(problem.target, jet[0])[:, None, :])
+
+    return _assemble(w, problem, density, loss)
 
 
 def exact(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
@@ -48,37 +45,43 @@ def exact(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
     def loss(jet, y, weight):
         return weight * geodesic_loss(problem.target, jet[0], y)
 
-    second = lambda f: jax.vmap(jax.vmap(jax.hessian(f)))
-    jets = jet_values(problem.energy_jets, w)
-    energy = second(density)(jets, problem.energy_weights)
-    values = jet_values(problem.data_jets, w)
-    data = second(loss)(values, problem.y[problem.data_jets.index], data_weights(problem))
-    return _assemble(
-        problem,
-        _sandwich(energy, problem.energy_jets.matrices),
-        _sandwich(data, problem.data_jets.matrices),
+    return _assemble(w, problem, jax.hessian(density), jax.hessian(loss))
+
+
+def _gram(factor: Float[Array, "r J t"]) -> Float[Array, "J t J t"]:
+    return 2.0 * jnp.einsum("rjs,rkt->jskt", factor, factor)
+
+
+def _assemble(w: Float[Array, "KC t"], problem: Problem, density, loss):
+    """`density(jet, weight)` and `loss(jet, y, weight)` give blocks `(J, t, J, t)`."""
+    pointwise = lambda f: jax.vmap(jax.vmap(f))
+    energy_jets, data_jets = problem.energy_jets, problem.data_jets
+    at_quadrature = pointwise(density)(
+        jet_values(energy_jets, w), problem.energy_weights
     )
-
-
-def _square(
-    factors: Float[Array, "e p r J t"], matrices: Float[Array, "e p J U"]
-) -> Float[Array, "e U t U t"]:
-    rows = jnp.einsum("eprjt,epju->eprut", factors, matrices)
-    e, p, r, u, t = rows.shape
-    rows = rows.reshape(e, p * r, u * t)
-    return jnp.einsum("eri,erj->eij", rows, rows).reshape(e, u, t, u, t)
+    at_data = pointwise(loss)(
+        jet_values(data_jets, w), problem.y[data_jets.index], data_weights(problem)
+    )
+    t = w.shape[1]
+    blocks = jnp.zeros((len(problem.pattern.rows), t, t))
+    for local, jets, scatter in (
+        (at_quadrature, energy_jets, problem.energy_scatter),
+        (at_data, data_jets, problem.data_scatter),
+    ):
+        blocks = scatter_add(blocks, scatter, _sandwich(local, jets.matrices))
+    return SparseSymmetric(blocks, problem.pattern)
 
 
 def _sandwich(
-    blocks: Float[Array, "e p J t J t"], matrices: Float[Array, "e p J U"]
+    local: Float[Array, "e p J t J t"], matrices: Float[Array, "e p J U"]
 ) -> Float[Array, "e U t U t"]:
-    half = jnp.einsum("epjskt,epkv->epjsvt", blocks, matrices)
-    return jnp.einsum("epju,epjsvt->eusvt", matrices, half)
-
-
-def _assemble(problem: Problem, energy, data) -> SparseSymmetric:
-    t = energy.shape[-1]
-    blocks = jnp.zeros((len(problem.pattern.rows), t, t))
-    blocks = scatter_add(blocks, problem.energy_scatter, energy)
-    blocks = scatter_add(blocks, problem.data_scatter, data)
-    return SparseSymmetric(blocks, problem.pattern)
+    """A^T local A, summed over the points of each element: one dense product each."""
+    e, p, J, t = local.shape[:4]
+    U = matrices.shape[-1]
+    half = sum(
+        local[:, :, :, :, k, None, :] * matrices[:, :, None, None, k, :, None]
+        for k in range(J)
+    )
+    half = half.reshape(e, p * J, t * U * t)
+    whole = jnp.einsum("equ,eqv->euv", matrices.reshape(e, p * J, U), half)
+    return whole.reshape(e, U, t, U, t)

@@ -26,7 +26,7 @@ class Jets(eqx.Module):
     columns: Int[Array, "e U"]
     """Index of each basis function, negative for padding."""
     index: Int[Array, "e p"]
-    """Which of the Q points this is; repeated for padding."""
+    """Which of the Q points this is; padding repeats the first of the element."""
     mask: Float[Array, "e p"]
     """1, or 0 for padding."""
 
@@ -60,7 +60,7 @@ def jets_of(
         matrices = _jet_rows(
             basis, points[index], frames[index], second_forms[index], near
         )
-    return Jets(matrices * mask[:, :, None, None], columns, index, mask)
+    return Jets(matrices, columns, index, mask)
 
 
 @eqx.filter_jit

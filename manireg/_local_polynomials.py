@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ._domain import Domain, complete_frames
+from ._domain import Domain
+from ._frames import complete_frames
 
 
 class LocalPolynomials(eqx.Module):

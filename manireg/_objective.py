@@ -18,34 +18,8 @@ from ._densities import (
     penalised_residual,
     projected_residual,
 )
-from ._domain import Source
-from ._jets import Jets, jet_values
-from ._local_polynomials import LocalPolynomials
-from ._sparse import Scatter, SparsityPattern
-from .manifolds import AbstractManifold
-
-
-class Problem(eqx.Module):
-    """A regression problem, analysed once on the host and solved for many lambdas.
-
-    `y` and `weights` are leaves: replace them (`eqx.tree_at`) to solve for other data or
-    other folds with the same compiled program.
-    """
-
-    source: Source
-    target: AbstractManifold
-    basis: LocalPolynomials
-    energy_jets: Jets
-    energy_weights: Float[Array, "e p"]
-    free_jets: Jets
-    """Energy jets with the ambient second derivative, for the free start."""
-    data_jets: Jets
-    x: Float[Array, "k s"]
-    y: Float[Array, "k t"]
-    weights: Float[Array, " k"]
-    pattern: SparsityPattern
-    energy_scatter: Scatter
-    data_scatter: Scatter
+from ._jets import jet_values
+from ._problem import Problem
 
 
 class Stage(eqx.Module):

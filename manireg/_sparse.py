@@ -1,12 +1,11 @@
-"""Sparse symmetric matrices of t x t blocks with a pattern known beforehand, as a lineax
-operator, and the Cholesky solvers for them."""
+"""Sparse symmetric matrices of t x t blocks, with a pattern found once on the host, as a
+lineax operator."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
 import numpy as np
-import sparsax
 from jaxtyping import Array, Float, Int
 
 
@@ -27,7 +26,7 @@ class Scatter(eqx.Module):
 
 
 class SparseSymmetric(lx.AbstractLinearOperator):
-    """Symmetric positive semidefinite operator on arrays `(size, t)`."""
+    """Symmetric operator on arrays `(size, t)`."""
 
     blocks: Float[Array, "nnz t t"]
     pattern: SparsityPattern
@@ -46,6 +45,21 @@ class SparseSymmetric(lx.AbstractLinearOperator):
         full = upper.at[cols, rows].set(self.blocks.transpose(0, 2, 1))
         return full.transpose(0, 2, 1, 3).reshape(size * t, size * t)
 
+    def diagonal(self) -> Float[Array, "size t"]:
+        own = jnp.diagonal(self.blocks, axis1=1, axis2=2)
+        diagonal_only = self.pattern.rows == self.pattern.cols
+        index = jnp.where(diagonal_only, self.pattern.rows, self.pattern.size)
+        shape = (self.pattern.size, own.shape[1])
+        return jnp.zeros(shape, own.dtype).at[index].set(own, mode="drop")
+
+    def coordinates(self) -> tuple[Int[Array, "nnz t t"], Int[Array, "nnz t t"]]:
+        """Row and column of every stored number in the matrix of `as_matrix`."""
+        t = self.blocks.shape[-1]
+        inside = jnp.arange(t, dtype=self.pattern.rows.dtype)
+        i = self.pattern.rows[:, None, None] * t + inside[:, None]
+        j = self.pattern.cols[:, None, None] * t + inside[None, :]
+        return tuple(jnp.broadcast_to(a, self.blocks.shape) for a in (i, j))
+
     def transpose(self):
         return self
 
@@ -58,11 +72,10 @@ class SparseSymmetric(lx.AbstractLinearOperator):
 
 
 # lineax asks these by singledispatch when a solve is built, differentiated or transposed
-for _query in (lx.is_symmetric, lx.is_positive_semidefinite):
-    _query.register(SparseSymmetric)(lambda _: True)
+lx.is_symmetric.register(SparseSymmetric)(lambda _: True)
 for _query in (
     lx.is_diagonal, lx.is_tridiagonal, lx.is_lower_triangular, lx.is_upper_triangular,
-    lx.has_unit_diagonal, lx.is_negative_semidefinite,
+    lx.has_unit_diagonal, lx.is_positive_semidefinite, lx.is_negative_semidefinite,
 ):  # fmt: skip
     _query.register(SparseSymmetric)(lambda _: False)
 for _same in (lx.linearise, lx.materialise, lx.conj):
@@ -102,80 +115,3 @@ def scatter_add(
     t = elements.shape[-1]
     flat = elements.transpose(0, 1, 3, 2, 4).reshape(-1, t, t)
     return blocks.at[scatter.into].add(flat[scatter.take], indices_are_sorted=True)
-
-
-class _AbstractCholesky(lx.AbstractLinearSolver):
-    """Cholesky of D^{-1/2} A D^{-1/2} + ridge I with D the diagonal: the ridge moves only
-    directions that the objective cannot see (gauge of the basis)."""
-
-    ridge: eqx.AbstractVar[float]
-
-    def transpose(self, state, options):
-        return state, options
-
-    def conj(self, state, options):
-        return state, options
-
-    def assume_full_rank(self):
-        return True
-
-
-def _scale(operator: SparseSymmetric):
-    """D^{-1/2} of the diagonal, and the blocks of D^{-1/2} A D^{-1/2} + ridge I."""
-    rows, cols = operator.pattern.rows, operator.pattern.cols
-    t = operator.blocks.shape[-1]
-    on_diagonal = rows == cols
-    own = jnp.diagonal(operator.blocks, axis1=1, axis2=2)
-    index = jnp.where(on_diagonal, rows, operator.pattern.size)
-    diagonal = jnp.zeros((operator.pattern.size, t)).at[index].set(own, mode="drop")
-    floor = 1e-14 * jnp.max(diagonal)
-    return jax.lax.rsqrt(jnp.maximum(diagonal, floor)), on_diagonal
-
-
-class SparseCholesky(_AbstractCholesky):
-    """CHOLMOD through sparsax: the symbolic analysis is cached per pattern."""
-
-    ridge: float = 1e-10
-
-    def init(self, operator, options):
-        del options
-        scale, on_diagonal = _scale(operator)
-        rows, cols = operator.pattern.rows, operator.pattern.cols
-        t = operator.blocks.shape[-1]
-        blocks = operator.blocks * scale[rows][:, :, None] * scale[cols][:, None, :]
-        blocks += self.ridge * on_diagonal[:, None, None] * jnp.eye(t)
-        inside = jnp.arange(t, dtype=rows.dtype)
-        i = rows[:, None, None] * t + inside[:, None]
-        j = cols[:, None, None] * t + inside[None, :]
-        shape = blocks.shape
-        return (
-            jnp.broadcast_to(i, shape).ravel(),
-            jnp.broadcast_to(j, shape).ravel(),
-            blocks.ravel(),
-            scale,
-        )
-
-    def compute(self, state, vector, options):
-        i, j, values, scale = state
-        solution = sparsax.solve(i, j, values, (scale * vector).ravel())
-        return scale * solution.reshape(vector.shape), lx.RESULTS.successful, {}
-
-
-class DenseCholesky(_AbstractCholesky):
-    """Dense factorisation: for a GPU, and for small problems."""
-
-    ridge: float = 1e-10
-
-    def init(self, operator, options):
-        del options
-        scale, _ = _scale(operator)
-        flat = scale.ravel()
-        matrix = operator.as_matrix() * flat[:, None] * flat[None, :]
-        matrix += self.ridge * jnp.eye(len(flat))
-        return jnp.linalg.cholesky(matrix), scale
-
-    def compute(self, state, vector, options):
-        factor, scale = state
-        rhs = (scale * vector).ravel()
-        solution = jax.scipy.linalg.cho_solve((factor, True), rhs)
-        return scale * solution.reshape(vector.shape), lx.RESULTS.successful, {}

@@ -1,0 +1,30 @@
+"""Non-parametric regression between Riemannian manifolds."""
+
+
+from . import manifolds as manifolds
+from ._charts import Chart as Chart
+from ._domain import Domain as Domain
+from ._energy import eells_energy as eells_energy, thin_plate_energy as thin_plate_energy
+from ._fit import fit as fit
+from ._objective import Energies as Energies
+from ._problem import make_problem as make_problem, Problem as Problem
+from ._selection import (
+    cross_validate as cross_validate,
+    CrossValidation as CrossValidation,
+    lambda_grid as lambda_grid,
+)
+from ._solve import RegressionMap as RegressionMap, solve as solve
+from ._sources import Box as Box, Interval as Interval
+from .manifolds import (
+    AbstractManifold as AbstractManifold,
+    Cylinder as Cylinder,
+    Ellipsoid as Ellipsoid,
+    Euclidean as Euclidean,
+    FlatTorus as FlatTorus,
+    LevelSet as LevelSet,
+    Product as Product,
+    Sphere as Sphere,
+    Torus as Torus,
+)
+
+

@@ -1,0 +1,42 @@
+"""The one-call path."""
+
+from jaxtyping import ArrayLike, ScalarLike
+
+from ._problem import make_problem
+from ._selection import cross_validate
+from ._solve import RegressionMap, solve
+from ._sources import Source
+from .manifolds import AbstractManifold
+
+
+def fit(
+    source: Source,
+    target: AbstractManifold,
+    x: ArrayLike,
+    y: ArrayLike,
+    lam: ScalarLike | None = None,
+    *,
+    weights: ArrayLike | None = None,
+    centres: int | None = None,
+    degree: int = 2,
+    width: float | None = None,
+    **options,
+) -> RegressionMap:
+    r"""Learn a smooth map `source -> target` from pairs (x_i, y_i):
+
+    $$\min_\Psi \; \frac{\sum_i w_i d_N(y_i, \Psi(x_i))^2}{\sum_i w_i}
+    + \lambda \int_M |\nabla d\Psi|^2$$
+
+    **Arguments:** `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`
+    as in `make_problem`; `lam` lambda, or None to choose it by `cross_validate`; other
+    options go to `solve` (with `lam`) or `cross_validate` (without).
+
+    **Returns:** a `RegressionMap`: call it on new points; `.energies`, `.lam`,
+    `.result`, `.stats`.
+
+    Source: F. Steinke and M. Hein, Non-parametric Regression Between Manifolds, NIPS 2008.
+    """
+    data = dict(weights=weights, centres=centres, degree=degree, width=width)
+    if lam is None:
+        return cross_validate(source, target, x, y, **data, **options).model
+    return solve(make_problem(source, target, x, y, **data), lam, **options)

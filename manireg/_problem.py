@@ -1,0 +1,125 @@
+"""Data and discretisation of one regression, analysed once on the host."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from ._checks import check_data, check_x64
+from ._domain import Domain, centres_of, discretise
+from ._jets import Jets, jets_of
+from ._local_polynomials import LocalPolynomials, local_polynomials
+from ._sources import Source
+from ._sparse import Scatter, SparsityPattern, sparsity
+from .manifolds import AbstractManifold
+
+
+class Problem(eqx.Module):
+    """Built by `make_problem`, solved by `solve` for any lambda.
+
+    `y` and `weights` are leaves: replace them (`eqx.tree_at`) to solve for other outputs
+    or other folds with the same compiled program.
+    """
+
+    source: Source
+    target: AbstractManifold
+    basis: LocalPolynomials
+    energy_jets: Jets
+    """Value, first and intrinsic second derivatives at the quadrature points."""
+    free_jets: Jets
+    """The same with the ambient second derivative, for the free start: affine maps of the
+    ambient space then cost nothing. Equal to `energy_jets` on a flat source."""
+    energy_weights: Float[Array, "e p"]
+    data_jets: Jets
+    """Values at the data."""
+    x: Float[Array, "k s"]
+    y: Float[Array, "k t"]
+    weights: Float[Array, " k"]
+    pattern: SparsityPattern
+    energy_scatter: Scatter
+    data_scatter: Scatter
+
+    @property
+    def volume(self) -> Float[Array, ""]:
+        return jnp.sum(self.energy_weights)
+
+
+def make_problem(
+    source: Source,
+    target: AbstractManifold,
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    weights: ArrayLike | None = None,
+    centres: int | None = None,
+    degree: int = 2,
+    width: float | None = None,
+) -> Problem:
+    r"""Discretise the regression of y on x.
+
+    **Arguments:**
+
+    - `source`: `Interval`, `Box` or a manifold. Unbounded manifolds are cut to the
+      bounding box of `x`.
+    - `target`: a manifold.
+    - `x`: inputs `(k, *source.point_shape)`, in any order. Equal inputs with different
+      outputs are repeated measurements; a pair given twice is an error.
+    - `y`: outputs `(k, *target.point_shape)`, on the target to 1e-6 of its size.
+    - `weights`: positive weights `(k,)` of the squared errors; default 1. Only ratios
+      matter: the loss is a weighted mean.
+    - `centres`: about how many local polynomials; default k within 30..100 on curves,
+      50..400 on surfaces, 60..400 above. More resolve finer detail; the cost grows with
+      them.
+    - `degree`: of the local polynomials (default 2; at least 2, else the energy
+      vanishes).
+    - `width`: support radius of a local polynomial in units of the spacing
+      $(\mathrm{vol}(M)/K)^{1/m}$; default 2.5 on curves, 2.2 above.
+
+    **Raises** ValueError for float32 mode, wrong shapes, NaN, points off the source or
+    the target, too few or repeated pairs.
+    """
+    check_x64()
+    x, y, weights = check_data(source, target, x, y, weights)
+    if degree < 2:
+        raise ValueError(
+            f"degree: must be at least 2, found {degree}: the energy is made of second "
+            "derivatives."
+        )
+    if centres is None:
+        low, high = {1: (30, 100), 2: (50, 400)}.get(source.dim, (60, 400))
+        centres = int(np.clip(len(x), low, high))
+    if width is None:
+        width = 2.5 if source.dim == 1 else 2.2
+    domain = discretise(source, centres, x)
+    nodes = centres_of(source, centres, x)
+    spacing = (jnp.sum(domain.weights) / len(nodes.points)) ** (1 / source.dim)
+    basis = local_polynomials(nodes, width * spacing, degree)
+    return assemble_problem(source, target, basis, domain, x, y, weights)
+
+
+def assemble_problem(source, target, basis, domain: Domain, x, y, weights) -> Problem:
+    """The same from a basis and a quadrature of your own; inputs are not checked."""
+    energy_jets = jets_of(basis, domain.points, domain.frames, domain.second_forms)
+    free_jets = energy_jets
+    if np.any(np.asarray(domain.second_forms)):
+        flat = jnp.zeros_like(domain.second_forms)
+        free_jets = jets_of(basis, domain.points, domain.frames, flat)
+    data_jets = jets_of(basis, x, points_per_element=4)
+    pattern, (energy_scatter, data_scatter) = sparsity(
+        [energy_jets.columns, data_jets.columns], len(basis.centres) * basis.size
+    )
+    return Problem(
+        source=source,
+        target=target,
+        basis=basis,
+        energy_jets=energy_jets,
+        free_jets=free_jets,
+        energy_weights=domain.weights[energy_jets.index] * energy_jets.mask,
+        data_jets=data_jets,
+        x=x,
+        y=y,
+        weights=weights,
+        pattern=pattern,
+        energy_scatter=energy_scatter,
+        data_scatter=data_scatter,
+    )

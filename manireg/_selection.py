@@ -1,0 +1,186 @@
+"""Choice of lambda by cross-validation."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, ArrayLike, Float, Int, PRNGKeyArray
+
+from ._checks import check_lam
+from ._densities import geodesic_loss
+from ._jets import jet_values
+from ._linear_solvers import direct_solvers
+from ._problem import Problem, make_problem
+from ._progress import progress_bar, tick
+from ._solve import (
+    RegressionMap,
+    free_solution,
+    minimise,
+    newton_minimiser,
+    solve,
+)
+from ._sources import Source
+from .manifolds import AbstractManifold
+
+
+GRID = 20
+WIDENINGS = 2  # times the default grid may be extended past an edge
+COARSE = 1e-6  # relative decrease at which the fits of the folds stop
+
+
+class CrossValidation(eqx.Module):
+    """Scores of a grid of lambdas, the best one, and the map refitted with it."""
+
+    lam: Float[Array, ""]
+    """The lambda of the lowest mean score."""
+    lams: Float[Array, " lams"]
+    scores: Float[Array, "folds lams"]
+    """(Weighted) mean squared geodesic error on each held-out fold."""
+    converged: Float[Array, "folds lams"]
+    """1 where Newton converged."""
+    model: RegressionMap
+
+    @property
+    def score(self) -> Float[Array, ""]:
+        """Mean score at the chosen lambda."""
+        return jnp.min(jnp.mean(self.scores, axis=0))
+
+
+def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
+    r"""Scale-free grid: lambda = (l / 2 pi)^4 / vol(M), with wavelengths l from the
+    spacing of the data, (vol(M)/k)^{1/m}, to twice the size of M, vol(M)^{1/m}.
+
+    A perturbation of wavelength l adds to loss and penalty alike at that lambda, whatever
+    the scale of the target.
+    """
+    volume, k, m = problem.volume, len(problem.y), problem.basis.dim
+    wavelengths = jnp.stack([(volume / k) ** (1 / m), 2 * volume ** (1 / m)])
+    low, high = jnp.log((wavelengths / (2 * np.pi)) ** 4 / volume)
+    return jnp.exp(jnp.linspace(low, high, n))
+
+
+def cross_validate(
+    source: Source,
+    target: AbstractManifold,
+    x: ArrayLike,
+    y: ArrayLike,
+    lams: Sequence[float] | Float[Array, " lams"] | None = None,
+    *,
+    folds: int = 10,
+    key: PRNGKeyArray | None = None,
+    weights: ArrayLike | None = None,
+    centres: int | None = None,
+    degree: int = 2,
+    width: float | None = None,
+    linear_algebra: str = "auto",
+    max_steps: int = 25,
+    progress: bool = True,
+) -> CrossValidation:
+    """Choose lambda by k-fold cross-validation and refit on all data.
+
+    Folds are 0/1 weights, so all fits share one compiled program. Within a fold the
+    lambdas are followed from small to large, each fit started from the one before:
+    measured on curves, four Newton steps a fit where a cold start takes ten, and minima
+    no worse. `max_steps` cuts fits short that fold up under a far too large lambda.
+
+    **Arguments:**
+
+    - `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`: as in
+      `make_problem`.
+    - `lams`: the grid, positive; default `lambda_grid`, extended (at most twice) where
+      the best value sits on an edge.
+    - `folds`: default 10, at most the number of data.
+    - `key`: for the random folds, default `jax.random.key(0)`.
+    - `progress`: show a progress bar.
+    """
+    problem = make_problem(
+        source, target, x, y, weights=weights, centres=centres, degree=degree, width=width
+    )
+    k = len(problem.y)
+    if not 2 <= folds <= k:
+        raise ValueError(f"folds: must lie between 2 and the number of data, {k}.")
+    key = jax.random.key(0) if key is None else key
+    fold_of = np.asarray(jax.random.permutation(key, k)) % folds
+    training = np.concatenate(
+        [fold_of[None, :] != np.arange(folds)[:, None], np.ones((1, k), bool)]
+    )
+    solvers = direct_solvers(linear_algebra)
+
+    def scores_of(lams):
+        with progress_bar(len(training) * len(lams), "cross-validation", progress) as bar:
+            return jax.block_until_ready(
+                _paths(problem, jnp.asarray(training), lams, solvers, max_steps, bar)
+            )
+
+    if lams is not None:
+        check_lam(lams, "lams")
+        lams = jnp.sort(jnp.asarray(lams, float).ravel())
+        paths = scores_of(lams)
+    else:
+        lams, paths = _widening(lambda_grid(problem), scores_of)
+    scores, w, converged = paths
+    best = int(jnp.argmin(jnp.mean(scores[:folds], axis=0)))
+    model = solve(problem, lams[best], warm=w[best], linear_algebra=linear_algebra)
+    return CrossValidation(lams[best], lams, scores[:folds], converged[:folds], model)
+
+
+def _widening(lams, scores_of):
+    """Extend a grid by its own length in steps while the best score sits on an edge."""
+    paths = scores_of(lams)
+    for _ in range(WIDENINGS):
+        means = jnp.mean(paths[0][:-1], axis=0)
+        best, last = int(jnp.argmin(means)), len(means) - 1
+        if 0 < best < last:
+            break
+        ratio = lams[1] / lams[0]
+        steps = ratio ** jnp.arange(1, GRID + 1)
+        if best == 0:
+            new = lams[0] / steps[::-1]
+            lams, order = jnp.concatenate([new, lams]), 1
+        else:
+            new = lams[-1] * steps
+            lams, order = jnp.concatenate([lams, new]), -1
+        more = scores_of(new)
+        joined = [(more, paths), (paths, more)][order == -1]
+        (s0, w0, c0), (s1, w1, c1) = joined
+        paths = (
+            jnp.concatenate([s0, s1], axis=1),
+            jnp.concatenate([w0, w1]),
+            jnp.concatenate([c0, c1], axis=1),
+        )
+    return lams, paths
+
+
+@eqx.filter_jit
+def _paths(problem: Problem, training, lams, solvers, max_steps: int, bar):
+    """For each row of `training` (0/1 weights; the last row is all data): held-out scores
+    and convergence `(folds + 1, lams)`; and the coefficients of the last row."""
+    newton = newton_minimiser(solvers, COARSE)
+
+    def one_fold(inside):
+        fold = eqx.tree_at(lambda p: p.weights, problem, problem.weights * inside)
+
+        def step(w, lam):
+            w, _, _, result, _ = minimise(fold, lam, w, "projected", newton, max_steps)
+            tick(bar)
+            return w, (w, result == optx.RESULTS.successful)
+
+        start = free_solution(fold, lams[0], solvers)
+        _, (w, converged) = jax.lax.scan(step, start, lams)
+        return jax.vmap(lambda w: _held_out(problem, inside, w))(w), w, converged
+
+    scores, w, converged = jax.lax.map(one_fold, training)
+    return scores, w[-1], converged
+
+
+def _held_out(problem: Problem, inside, w) -> Float[Array, ""]:
+    """Weighted mean loss on the data outside the fold's training set."""
+    jets = problem.data_jets
+    values = jet_values(jets, w)[:, :, 0]
+    loss = lambda psi, y: geodesic_loss(problem.target, psi, y)
+    losses = jax.vmap(jax.vmap(loss))(values, problem.y[jets.index])
+    held_out = (problem.weights * ~inside)[jets.index] * jets.mask
+    return jnp.sum(held_out * losses) / jnp.sum(held_out)

@@ -1,0 +1,206 @@
+"""From a problem and a lambda to a fitted map: starts, Newton, implicit derivatives."""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
+
+from ._checks import check_lam, check_points, is_concrete
+from ._continuation import penalty_path
+from ._hessian import exact, gauss_newton
+from ._linear_solvers import DirectSolvers, direct_solvers
+from ._local_polynomials import LocalPolynomials, basis_values, cover
+from ._newton import Newton
+from ._objective import Energies, Stage, objective
+from ._problem import Problem
+from ._sources import Source
+from .manifolds import AbstractManifold, Euclidean
+
+
+GAUGE = 0.1  # gamma vol(M) of the projected energy: holds Psi near N, costs 1e-4 of E
+STARTS = (1.0, 1e-2)
+
+Method = Literal["projected", "penalty"]
+
+
+class RegressionMap(eqx.Module):
+    """A fitted map from `source` to `target`: call it on new points."""
+
+    source: Source
+    target: AbstractManifold
+    basis: LocalPolynomials
+    coefficients: Float[Array, "KC t"]
+    lam: Float[Array, ""]
+    energies: Energies
+    result: optx.RESULTS
+    stats: dict[str, Any]
+
+    def __call__(self, x: ArrayLike) -> Float[Array, "..."]:
+        """Values at `x`, `(n, *source.point_shape)`: `(n, *target.point_shape)`, on the
+        target.
+
+        **Raises** ValueError (for traced `x`: a run-time error) outside the source or its
+        cover.
+        """
+        if is_concrete(x):
+            flat = jnp.asarray(check_points("x", self.source, x))
+        else:
+            flat = jnp.asarray(x).reshape(len(x), -1)
+        values, covered = evaluate(self.basis, self.coefficients, flat)
+        values = eqx.error_if(
+            values,
+            ~covered,
+            "x: some points lie outside the support of every centre of the fitted map; "
+            "fit with inputs that cover them.",
+        )
+        return self.target.project(values.reshape(-1, *self.target.point_shape))
+
+
+@eqx.filter_jit
+def evaluate(
+    basis: LocalPolynomials, w: Float[Array, "KC t"], x: Float[Array, "n s"]
+) -> tuple[Float[Array, "n t"], Array]:
+    """Psi at `x`, before the projection to N; and whether all of `x` is covered."""
+    everywhere = jnp.arange(len(basis.centres))
+
+    def one(x):
+        return basis_values(basis, x, everywhere) @ w, cover(basis, x) > 1e-6
+
+    values, covered = jax.lax.map(one, x, batch_size=256)
+    return values, jnp.all(covered)
+
+
+def solve(
+    problem: Problem,
+    lam: ScalarLike,
+    *,
+    method: Method = "projected",
+    starts: Sequence[float] = STARTS,
+    warm: Float[Array, "KC t"] | None = None,
+    rtol: float = 1e-12,
+    max_steps: int = 256,
+    linear_algebra: str = "auto",
+    throw: bool = True,
+) -> RegressionMap:
+    r"""Minimise (1/k) sum d^2(y_i, Psi(x_i)) + lam S(Psi) for a given lambda.
+
+    Works under `jit`, `vmap` over `lam` (or over leaves of `problem`) and `grad` with
+    respect to `lam`, `problem.y` and `problem.weights` (implicit differentiation with the
+    exact Hessian).
+
+    **Arguments:**
+
+    - `problem`: from `make_problem`.
+    - `lam`: lambda > 0, exactly as in the formula; it has the unit of length^{4-m} of the
+      source.
+    - `method`: `"projected"` (default) minimises the Eells energy of $\pi \circ \Psi$,
+      with a weak pull of Psi towards N that fixes the gauge; the result lies on N and no
+      continuation is needed. `"penalty"` is the paper's: energy with the projector at
+      $\Psi$, plus $\gamma \int |\Psi - \pi\Psi|^2$ with gamma raised in stages.
+      Measured on curves on the sphere: same minimisers, a third of the Newton steps.
+    - `starts`: the free (thin plate) solutions at `lam * factor`, one a factor; the
+      lowest objective found is returned.
+    - `warm`: coefficients of a map fitted on the same problem, as one more start.
+    - `rtol`: relative decrease of the objective below which Newton stops.
+    - `max_steps`: trial steps allowed.
+    - `linear_algebra`: `"sparse"` (CPU), `"dense"` (any device), `"auto"`.
+    - `throw`: raise if Newton fails; else look at `.result`.
+    """
+    check_lam(lam)
+    if method not in ("projected", "penalty"):
+        raise ValueError(
+            f"method: expected 'projected' or 'penalty', found {method!r}."
+        )
+    solvers = direct_solvers(linear_algebra)
+    model = _solve(
+        problem, jnp.asarray(lam, float), tuple(starts), warm, method, solvers, rtol, max_steps
+    )
+    if not throw:
+        return model
+    failed = model.result != optx.RESULTS.successful
+    w = model.result.error_if(model.coefficients, failed)
+    return eqx.tree_at(lambda m: m.coefficients, model, w)
+
+
+@eqx.filter_jit
+def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
+    fixed = jax.lax.stop_gradient(eqx.filter(problem, eqx.is_array))
+    fixed = eqx.combine(fixed, problem)
+    frozen_lam = jax.lax.stop_gradient(lam)
+    newton = newton_minimiser(solvers, rtol)
+
+    def run(w0):
+        return minimise(fixed, frozen_lam, w0, method, newton, max_steps)
+
+    free = [free_solution(fixed, factor * frozen_lam, solvers) for factor in starts]
+    candidates = jax.lax.map(run, jnp.stack(free + ([] if warm is None else [warm])))
+    best = jnp.argmin(jnp.nan_to_num(candidates[2], nan=jnp.inf))
+    w, gamma, _, result, stats = jax.tree.map(lambda a: a[best], candidates)
+    stage = Stage(problem, lam, gamma, method == "projected")
+    w = _implicit(stage, w, solvers)
+    _, energies = objective(w, stage)
+    return RegressionMap(
+        problem.source, problem.target, problem.basis, w, lam, energies, result, stats
+    )
+
+
+def newton_minimiser(solvers: DirectSolvers, rtol: float) -> Newton:
+    return Newton(
+        rtol=rtol,
+        atol=0.0,
+        model_hessian=gauss_newton,
+        exact_hessian=exact,
+        model_descent=optx.NewtonDescent(linear_solver=solvers.positive),
+        exact_descent=optx.NewtonDescent(linear_solver=solvers.indefinite),
+    )
+
+
+def free_solution(
+    problem: Problem, lam: ScalarLike, solvers: DirectSolvers
+) -> Float[Array, "KC t"]:
+    """The minimiser with N = R^t: a thin-plate spline, one linear solve."""
+    free = free_problem(problem)
+    w = jnp.zeros((problem.pattern.size, problem.y.shape[1]))
+    stage = Stage(free, lam, 0.0, False)
+    gradient = jax.grad(lambda w: objective(w, stage)[0])(w)
+    return -lx.linear_solve(gauss_newton(w, stage), gradient, solvers.positive).value
+
+
+def free_problem(problem: Problem) -> Problem:
+    """The same data, ambient space as the target."""
+    where = lambda p: (p.target, p.energy_jets)
+    ambient = Euclidean(problem.y.shape[1])
+    return eqx.tree_at(where, problem, (ambient, problem.free_jets))
+
+
+def minimise(problem, lam, w0, method: Method, newton: Newton, max_steps: int):
+    """From start coefficients to `(w, gamma, objective, result, stats)`."""
+    if method == "penalty":
+        return penalty_path(problem, lam, w0, newton, max_steps)
+    stage = Stage(problem, lam, GAUGE / problem.volume, True)
+    solution = optx.minimise(
+        objective, newton, w0, stage, has_aux=True, max_steps=max_steps, throw=False
+    )
+    total, _ = objective(solution.value, stage)
+    return solution.value, stage.gamma, total, solution.result, solution.stats
+
+
+@eqx.filter_custom_jvp
+def _implicit(stage: Stage, w: Float[Array, "KC t"], solvers: DirectSolvers):
+    """`w`, with the derivative of a minimiser: dw = -H^{-1} d(grad E)."""
+    return w
+
+
+@_implicit.def_jvp
+def _(primals, tangents):
+    stage, w, solvers = primals
+    gradient = lambda stage: jax.grad(lambda w: objective(w, stage)[0])(w)
+    _, moved = eqx.filter_jvp(gradient, (stage,), (tangents[0],))
+    hessian = exact(w, stage)
+    return w, -lx.linear_solve(hessian, moved, solvers.indefinite).value

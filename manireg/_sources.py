@@ -1,0 +1,76 @@
+"""Flat sources: intervals and boxes. Every manifold is a source too."""
+
+import equinox as eqx
+import numpy as np
+
+from .manifolds import AbstractManifold
+
+
+class Box(eqx.Module):
+    r"""The box $\prod_a [lower_a, upper_a] \subset \mathbb{R}^m$ as a source.
+
+    **Arguments:** `lower`, `upper`: sequences of m numbers, lower < upper.
+    Points are arrays `(..., m)`.
+    """
+
+    lower: tuple[float, ...] = eqx.field(static=True, converter=lambda v: _floats(v))
+    upper: tuple[float, ...] = eqx.field(static=True, converter=lambda v: _floats(v))
+
+    def __check_init__(self):
+        if len(self.lower) != len(self.upper):
+            raise ValueError(
+                "Box: `lower` and `upper` must have the same length, found "
+                f"{len(self.lower)} and {len(self.upper)}."
+            )
+        _check_bounds("Box", self.lower, self.upper)
+
+    @property
+    def dim(self) -> int:
+        return len(self.lower)
+
+    @property
+    def point_shape(self) -> tuple[int, ...]:
+        return (self.dim,)
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.array(self.lower), np.array(self.upper)
+
+
+class Interval(eqx.Module):
+    """The interval [a, b] as a source. Points are arrays `(...,)`: plain numbers."""
+
+    a: float = eqx.field(static=True, converter=float)
+    b: float = eqx.field(static=True, converter=float)
+
+    def __check_init__(self):
+        _check_bounds("Interval", (self.a,), (self.b,))
+
+    @property
+    def dim(self) -> int:
+        return 1
+
+    @property
+    def point_shape(self) -> tuple[int, ...]:
+        return ()
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([self.a]), np.array([self.b])
+
+
+Source = AbstractManifold | Box | Interval
+
+
+def _floats(values) -> tuple[float, ...]:
+    return tuple(float(v) for v in np.atleast_1d(np.asarray(values, dtype=float)))
+
+
+def _check_bounds(name, lower, upper):
+    if not (np.all(np.isfinite(lower)) and np.all(np.isfinite(upper))):
+        raise ValueError(f"{name}: bounds must be finite, found {lower} and {upper}.")
+    if not np.all(np.asarray(lower) < np.asarray(upper)):
+        raise ValueError(
+            f"{name}: the lower bound must be below the upper one, found {lower} and "
+            f"{upper}."
+        )
