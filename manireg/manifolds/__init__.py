@@ -11,7 +11,12 @@ from ._generic import (
     second_form_of_projection as second_form_of_projection,
     shooting_log as shooting_log,
 )
+from ._grassmann import Grassmann as Grassmann
 from ._level_set import LevelSet as LevelSet
+from ._planar_shapes import PlanarShapes as PlanarShapes
 from ._product import Product as Product
+from ._spd import SymmetricPositiveDefinite as SymmetricPositiveDefinite
+from ._special_orthogonal import SpecialOrthogonal as SpecialOrthogonal
 from ._sphere import Sphere as Sphere
+from ._stiefel import Stiefel as Stiefel
 from ._torus import Torus as Torus

@@ -1,0 +1,114 @@
+"""Subspaces of R^n as orthogonal projectors."""
+
+import math
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from .._numerics import angle_over_sine, norm_squared, squared_angle
+from ._base import AbstractManifold
+from ._matrix_functions import (
+    identity_like,
+    off_diagonal,
+    rotation_exp,
+    rotation_log,
+    squared_rotation_distance,
+    symmetric_part,
+    top_eigenprojector,
+)
+
+
+class Grassmann(AbstractManifold):
+    r"""The p-dimensional subspaces of $\mathbb{R}^n$, each stored as its orthogonal
+    projector: $\{P \in \mathbb{R}^{n \times n} : P = P^T = P^2, \mathrm{tr} P = p\}$
+    with the Frobenius metric. In principal angles, $d^2 = 2 \sum_i \theta_i^2$.
+
+    **Arguments:** `n`, `p` with 1 <= p < n; `Grassmann(n, 1)` is projective space.
+    """
+
+    n: int = eqx.field(static=True)
+    p: int = eqx.field(static=True)
+
+    def __check_init__(self):
+        if not 1 <= self.p < self.n:
+            raise ValueError(
+                f"Grassmann: needs 1 <= `p` < `n`, found p = {self.p}, n = {self.n}; "
+                "with p = n there is one point only."
+            )
+
+    @property
+    def dim(self) -> int:
+        return self.p * (self.n - self.p)
+
+    @property
+    def point_shape(self) -> tuple[int, ...]:
+        return (self.n, self.n)
+
+    @property
+    def _has_one_angle(self) -> bool:
+        return min(self.p, self.n - self.p) == 1
+
+    @property
+    def reach(self) -> float:
+        return math.sqrt(0.5)
+
+    @property
+    def injectivity_radius(self) -> float:
+        return math.sqrt(0.5) * math.pi
+
+    def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
+        r"""Projector on the leading p eigenvectors of $(p + p^T)/2$; undefined where
+        $\lambda_p = \lambda_{p+1}$."""
+        return top_eigenprojector(symmetric_part(p), self.p)
+
+    def tangent_projection(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$P Z (I - P) + (I - P) Z P$ with $P = \pi(p)$, $Z = (v + v^T)/2$."""
+        return off_diagonal(self.project(p), symmetric_part(v))
+
+    def second_fundamental_form(
+        self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$II_P(U, V) = (I - 2P)(UV + VU)$."""
+        both = u @ v + v @ u
+        return both - 2 * (p @ both)
+
+    def squared_distance(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$\frac14 |\log((I - 2q)(I - 2p))|_F^2$, smooth while all principal angles
+        are below $\pi/2$, undefined from there on. With one principal angle (p = 1 or
+        n - 1) it is $F(2|p - q|_F^2)/2$, continued linearly near $\pi/2$."""
+        if self._has_one_angle:
+            return squared_angle(2 * norm_squared(p - q, 2)) / 2
+        return squared_rotation_distance(_reflection(p), _reflection(q)) / 4
+
+    def exp(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$e^W P e^{-W}$ with $W = [v, P]$."""
+        vp = v @ p
+        w = vp - vp.mT
+        rotation = rotation_exp(w)
+        return rotation @ p @ rotation.mT
+
+    def log(
+        self, p: Float[Array, "..."], q: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$[W, P]$ with $W = \frac12 \log((I - 2Q)(I - 2P))$. With one principal angle
+        it is $\frac{2\theta}{\sin 2\theta}$ times the tangent projection of q."""
+        if self._has_one_angle:
+            factor = angle_over_sine(2 * norm_squared(p - q, 2))
+            return factor[..., None, None] * self.tangent_projection(p, q)
+        wp = rotation_log(_reflection(q) @ _reflection(p)) @ p / 2
+        return wp + wp.mT
+
+    def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
+        """Uniform: projections of Gaussian symmetric matrices."""
+        return self.project(jax.random.normal(key, (n, self.n, self.n)))
+
+
+def _reflection(p: Float[Array, "..."]) -> Float[Array, "..."]:
+    return identity_like(p) - 2 * p

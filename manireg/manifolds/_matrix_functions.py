@@ -1,0 +1,268 @@
+"""Functions of matrices whose derivatives are exact to all orders, also where singular
+values or eigenvalues coincide (there the derivative of `svd` and `eigh` is NaN).
+
+Each is a `jax.custom_jvp` whose rule calls the function itself, so that the rule can be
+differentiated again. Arguments are `(..., n, n)`, or `(..., n, p)` where said.
+"""
+
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Inexact
+
+from .._numerics import angle_over_sine, cos_sinc, norm_squared, squared_angle
+
+
+def adjoint(a: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
+    """Conjugate transpose of the last two axes."""
+    return jnp.conj(jnp.swapaxes(a, -1, -2))
+
+
+def symmetric_part(a: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
+    return (a + adjoint(a)) / 2
+
+
+def skew_part(a: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
+    return (a - adjoint(a)) / 2
+
+
+def identity_like(a: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
+    return jnp.broadcast_to(jnp.eye(a.shape[-1], dtype=a.dtype), a.shape)
+
+
+@jax.custom_jvp
+def lyapunov(
+    s: Inexact[Array, "..."], k: Inexact[Array, "..."]
+) -> Inexact[Array, "..."]:
+    """X with s X + X s = k, for Hermitian s without opposite eigenvalues."""
+    values, vectors = jnp.linalg.eigh(s)
+    sums = values[..., :, None] + values[..., None, :]
+    # A zero sum of an eigenvalue with itself meets a zero of k (skew k): 0/1, not 0/0.
+    sums = jnp.where(sums == 0.0, 1.0, sums)
+    x = adjoint(vectors) @ k @ vectors / sums
+    return vectors @ x @ adjoint(vectors)
+
+
+@lyapunov.defjvp
+def _lyapunov_jvp(primals, tangents):
+    s, k = primals
+    ds, dk = tangents
+    x = lyapunov(s, k)
+    return x, lyapunov(s, dk - ds @ x - x @ ds)
+
+
+def _skew_lyapunov(
+    s: Float[Array, "..."], k: Float[Array, "..."]
+) -> Float[Array, "..."]:
+    r"""Skew $\Omega$ with $s\Omega + \Omega s = k$ for symmetric s, skew k. For n = 3
+    it is $M k M / \det M$ with $M = \mathrm{tr}(s) I - s$."""
+    n = s.shape[-1]
+    if n > 3:
+        return skew_part(lyapunov(s, k))
+    trace = jnp.trace(s, axis1=-2, axis2=-1)[..., None, None]
+    if n < 3:
+        return k / trace
+    m = trace * identity_like(s) - s
+    a, b, c = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    d, e, f = m[..., 1, 2], m[..., 0, 2], m[..., 0, 1]
+    det = a * b * c + 2 * d * e * f - a * d**2 - b * e**2 - c * f**2
+    return m @ k @ m / det[..., None, None]
+
+
+def _polar_tangent(
+    y: Float[Array, "..."], p: Float[Array, "..."], dp: Float[Array, "..."]
+) -> Float[Array, "..."]:
+    r"""Derivative of the factor y in p = y s, y with orthonormal columns, s symmetric:
+    $dy = y\Omega + (I - yy^T)\, dp\, s^{-1}$ with
+    $s\Omega + \Omega s = y^T dp - dp^T y$."""
+    s = symmetric_part(adjoint(y) @ p)
+    inner = adjoint(y) @ dp
+    dy = y @ _skew_lyapunov(s, inner - adjoint(inner))
+    if y.shape[-2] == y.shape[-1]:
+        return dy
+    normal = dp - y @ inner
+    return dy + adjoint(jnp.linalg.solve(s, adjoint(normal)))
+
+
+@jax.custom_jvp
+def polar_factor(p: Float[Array, "..."]) -> Float[Array, "..."]:
+    r"""$p\,(p^T p)^{-1/2}$ for p of shape `(..., n, p)`: the closest matrix with
+    orthonormal columns, defined where p has full rank."""
+    u, _, vt = jnp.linalg.svd(p, full_matrices=False)
+    return u @ vt
+
+
+@polar_factor.defjvp
+def _polar_factor_jvp(primals, tangents):
+    (p,), (dp,) = primals, tangents
+    y = polar_factor(p)
+    return y, _polar_tangent(y, p, dp)
+
+
+def _foam(p: Float[Array, "..."]) -> Float[Array, "..."]:
+    r"""Closest rotation for n = 3 without an SVD (Markley's FOAM, 1993). The largest
+    root of $(\lambda^2 - |p|^2)^2 - 8 \lambda \det p - 4 |\mathrm{cof}\, p|^2$ is
+    $\lambda = s_1 + s_2 + \mathrm{sign}(\det p) s_3$; p is scaled to |p| = 1 first."""
+    p = p / jnp.sqrt(norm_squared(p, 2))[..., None, None]
+    cofactors = jnp.cross(jnp.roll(p, -1, axis=-2), jnp.roll(p, -2, axis=-2))
+    det = jnp.sum(p[..., 0, :] * cofactors[..., 0, :], axis=-1)
+    constant = 4 * norm_squared(cofactors, 2)
+    root = jnp.full_like(det, math.sqrt(3.0))  # an upper bound: Newton descends to it
+    for _ in range(30):  # halves the error even where the root is double (medial axis)
+        gap = root**2 - 1.0
+        slope = 4 * root * gap - 8 * det
+        value = gap**2 - 8 * root * det - constant
+        root = root - value / jnp.where(slope > 0.0, slope, 1.0)
+    kappa = (root**2 - 1.0) / 2
+    scale = (kappa * root - det)[..., None, None]
+    kappa, root = kappa[..., None, None], root[..., None, None]
+    y = ((kappa + 1.0) * p + root * cofactors - p @ adjoint(p) @ p) / scale
+    return 1.5 * y - 0.5 * (y @ adjoint(y) @ y)  # removes the rounding from y^T y - I
+
+
+@jax.custom_jvp
+def closest_rotation(p: Float[Array, "..."]) -> Float[Array, "..."]:
+    r"""$u\, \mathrm{diag}(1, \dots, 1, \det uv^T)\, v^T$ for p with singular value
+    decomposition $u s v^T$; defined where $s_{n-1} + \mathrm{sign}(\det p) s_n > 0$."""
+    if p.shape[-1] == 3:
+        return _foam(p)
+    u, _, vt = jnp.linalg.svd(p)
+    sign = jnp.sign(jnp.linalg.det(u @ vt))[..., None]
+    u = jnp.concatenate([u[..., :-1], u[..., -1:] * sign[..., None]], axis=-1)
+    return u @ vt
+
+
+@closest_rotation.defjvp
+def _closest_rotation_jvp(primals, tangents):
+    (p,), (dp,) = primals, tangents
+    y = closest_rotation(p)
+    return y, _polar_tangent(y, p, dp)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
+def top_eigenprojector(s: Inexact[Array, "..."], rank: int) -> Inexact[Array, "..."]:
+    r"""Orthogonal projector on the span of the `rank` leading eigenvectors of the
+    Hermitian s; defined where $\lambda_\mathrm{rank} > \lambda_{\mathrm{rank}+1}$."""
+    _, vectors = jnp.linalg.eigh(s)
+    leading = vectors[..., -rank:]
+    return leading @ adjoint(leading)
+
+
+@top_eigenprojector.defjvp
+def _top_eigenprojector_jvp(rank, primals, tangents):
+    r"""$dy$ solves $m\, dy + dy\, m = P_y(ds)$ with $m = (2y - I)(s - c I)$, c inside
+    the gap: m is positive definite, and dy does not depend on c."""
+    (s,), (ds,) = primals, tangents
+    y = top_eigenprojector(s, rank)
+    values = jax.lax.stop_gradient(jnp.linalg.eigvalsh(s))
+    n = s.shape[-1]
+    middle = (values[..., n - rank] + values[..., n - rank - 1]) / 2
+    one = identity_like(s)
+    shifted = s - middle[..., None, None].astype(s.dtype) * one
+    m = symmetric_part((2 * y - one) @ shifted)
+    return y, lyapunov(m, off_diagonal(y, ds))
+
+
+def off_diagonal(
+    y: Inexact[Array, "..."], v: Inexact[Array, "..."]
+) -> Inexact[Array, "..."]:
+    """y v (I - y) + (I - y) v y: the projection of a Hermitian v on the tangent space
+    of the projectors at y."""
+    yv = y @ v
+    return yv + v @ y - 2 * (yv @ y)
+
+
+_SQUARINGS = 6
+_EXP_SERIES = [1 / math.factorial(k) for k in range(17)]
+_LARGEST_TURN = 2.0**_SQUARINGS
+
+
+def rotation_exp(w: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Matrix exponential of skew w. n = 2, 3: Rodrigues' formula. n > 3: Taylor of
+    degree 16 and six squarings, exact to rounding for rotation angles up to 64 (NaN
+    where |w|_F allows more); unlike `expm` it has no branches to differentiate."""
+    one = identity_like(w)
+    if w.shape[-1] == 1:
+        return one
+    angle2 = norm_squared(w, 2)[..., None, None] / 2
+    if w.shape[-1] <= 3:
+        _, sinc = cos_sinc(angle2)
+        _, half_sinc = cos_sinc(angle2 / 4)
+        return one + sinc * w + (half_sinc**2 / 2) * (w @ w)
+    w = jnp.where(angle2 > _LARGEST_TURN**2, jnp.nan, w / _LARGEST_TURN)
+    w2 = w @ w
+    w3, w4 = w2 @ w, w2 @ w2
+    total = _EXP_SERIES[16] * one
+    for k in (12, 8, 4, 0):  # Paterson-Stockmeyer: Horner in w^4
+        a, b, c, d = _EXP_SERIES[k : k + 4]
+        total = total @ w4 + a * one + b * w + c * w2 + d * w3
+    for _ in range(_SQUARINGS):
+        total = total @ total
+    return total
+
+
+_ATAN_SERIES = [(-1) ** k / (2 * k + 1) for k in range(13)]
+_HALVINGS = 3
+
+
+def rotation_log(q: Float[Array, "..."]) -> Float[Array, "..."]:
+    r"""Skew logarithm of a rotation. n = 2, 3: $\frac{\theta}{\sin\theta} (q - q^T)/2$.
+    n > 3: three square roots $\sqrt q = \mathrm{polar}(I + q)$, then $2\,
+    \mathrm{artanh}$ of the Cayley transform $(q + I)^{-1}(q - I)$ as a power series.
+
+    The derivatives are those of `closest_rotation`: finite for all angles below $\pi$.
+    """
+    one = identity_like(q)
+    if q.shape[-1] <= 3:
+        chord2 = norm_squared(q - one, 2)[..., None, None] / 2
+        return angle_over_sine(chord2) * skew_part(q)
+    for _ in range(_HALVINGS):
+        q = closest_rotation(one + q)
+    k = skew_part(jnp.linalg.solve(one + q, q - one))
+    negative_square = adjoint(k) @ k
+    total = _ATAN_SERIES[-1] * one
+    for a in _ATAN_SERIES[-2::-1]:
+        total = total @ negative_square + a * one
+    return 2.0 ** (_HALVINGS + 1) * (k @ total)
+
+
+def squared_rotation_distance(
+    p: Float[Array, "..."], q: Float[Array, "..."]
+) -> Float[Array, "..."]:
+    r"""$|\log(p^T q)|_F^2$ for orthogonal p, q with $\det p = \det q$; for n = 2, 3 it
+    is $2 F(|p - q|_F^2 / 2)$."""
+    if p.shape[-1] <= 3:
+        return 2 * squared_angle(norm_squared(p - q, 2) / 2)
+    return norm_squared(rotation_log(adjoint(p) @ q), 2)
+
+
+@jax.custom_jvp
+def _square_root(s: Float[Array, "..."]) -> Float[Array, "..."]:
+    values, vectors = jnp.linalg.eigh(s)
+    return (vectors * jnp.sqrt(values)[..., None, :]) @ adjoint(vectors)
+
+
+@_square_root.defjvp
+def _square_root_jvp(primals, tangents):
+    (s,), (ds,) = primals, tangents
+    root = _square_root(s)
+    return root, lyapunov(root, ds)
+
+
+def symmetric_log(s: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Logarithm of a symmetric positive definite matrix: square roots until the series
+    of artanh converges to rounding for condition numbers up to 1e12."""
+    one = identity_like(s)
+    scale = jnp.trace(s, axis1=-2, axis2=-1)[..., None, None] / s.shape[-1]
+    s = s / scale
+    halvings = 6
+    for _ in range(halvings):
+        s = _square_root(s)
+    k = symmetric_part(jnp.linalg.solve(one + s, s - one))
+    square = k @ k
+    total = abs(_ATAN_SERIES[-1]) * one
+    for a in _ATAN_SERIES[-2::-1]:
+        total = total @ square + abs(a) * one
+    return 2.0 ** (halvings + 1) * (k @ total) + jnp.log(scale) * one
