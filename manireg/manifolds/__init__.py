@@ -12,6 +12,7 @@ from ._generic import (
     shooting_log as shooting_log,
 )
 from ._grassmann import Grassmann as Grassmann
+from ._laws import check_manifold as check_manifold
 from ._level_set import LevelSet as LevelSet
 from ._planar_shapes import PlanarShapes as PlanarShapes
 from ._product import Product as Product

@@ -31,12 +31,12 @@ class Euclidean(AbstractManifold):
     def tangent_projection(
         self, p: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        return v
+        return jnp.broadcast_arrays(p, v)[1]
 
     def second_fundamental_form(
         self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        return jnp.zeros_like(u)
+        return jnp.zeros_like(p + u + v)
 
     def squared_distance(
         self, p: Float[Array, "..."], q: Float[Array, "..."]

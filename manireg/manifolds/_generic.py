@@ -136,7 +136,7 @@ def shooting_log(
     all orders exist, also at p == q; p and q are projected first. Uses `project`,
     `tangent_projection` and `exp`.
     """
-    p, q = manifold.project(jnp.stack(jnp.broadcast_arrays(p, q)))
+    p, q = manifold.project(p), manifold.project(q)
     return broadcast_points(eqx.Partial(_shoot, manifold), manifold.point_shape)(p, q)
 
 
@@ -198,12 +198,13 @@ def _shoot_jvp(primals, tangents):
     basis = jnp.eye(size).reshape(size, *shape)
     tangent = manifold.tangent_projection(p, basis).reshape(size, size)
     jacobian = jax.jacfwd(end)(v).reshape(size, size)
-    if dp is None:
-        dp = jnp.zeros_like(p)
-    dend, turn = eqx.filter_jvp(shot, (manifold, p, v), (dmanifold, dp, None))[1]
-    gap = (-dend if dq is None else dq - dend).ravel()
+    gap, turn = jnp.zeros_like(v) if dq is None else dq, jnp.zeros_like(v)
+    if jax.tree.leaves((dmanifold, dp)):
+        moved = (dmanifold, jnp.zeros_like(p) if dp is None else dp, None)
+        dend, turn = eqx.filter_jvp(shot, (manifold, p, v), moved)[1]
+        gap = gap - dend
     normal = jacobian.T @ jacobian + jnp.eye(size) - tangent
-    x = tangent @ jnp.linalg.solve(normal, jacobian.T @ gap)
+    x = tangent @ jnp.linalg.solve(normal, jacobian.T @ gap.ravel())
     return v, turn + x.reshape(shape)
 
 

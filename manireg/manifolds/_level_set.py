@@ -186,7 +186,7 @@ def _closest_point(manifold: LevelSet, p: Array) -> Array:
         return jnp.linalg.solve(derivative @ derivative.T, derivative @ (p - y))
 
     def move(state):
-        y, _, count = state
+        y, distance, _, count = state
         derivative = jax.jacfwd(manifold._equations)(y)
         mu = multiplier(y, derivative)
         bend = jax.hessian(lambda y: mu @ manifold._equations(y))(y)
@@ -196,14 +196,20 @@ def _closest_point(manifold: LevelSet, p: Array) -> Array:
         pull = frame.T @ (tangent @ (p - y)) / jnp.maximum(jnp.abs(size), 0.1)
         step = tangent @ (frame @ pull)
         tries = jax.vmap(lambda a: _restore(manifold, y + a * step))(sizes)
-        best = tries[jnp.argmin(jnp.sum((tries - p) ** 2, axis=1))]
-        closer = jnp.sum((best - p) ** 2) < jnp.sum((y - p) ** 2)
-        moved = jnp.where(closer, jnp.sum((best - y) ** 2), 0.0)
-        return jnp.where(closer, best, y), moved, count + 1
+        distances = jnp.sum((tries - p) ** 2, axis=1)
+        best = jnp.argmin(distances)
+        closer = distances[best] < distance
+        moved = jnp.where(closer, jnp.sum((tries[best] - y) ** 2), 0.0)
+        y, distance = jax.lax.cond(
+            closer,
+            lambda: (tries[best], distances[best]),
+            lambda: (y, distance),
+        )
+        return y, distance, moved, count + 1
 
     def moving(state):
-        y, moved, count = state
-        return (moved > 1e-18 * jnp.sum(y**2)) & (count < 100)
+        y, _, moved, count = state
+        return ((moved > 1e-18 * jnp.sum(y**2)) | (count == 1)) & (count < 100)
 
     def polish(_, solution):
         residual = _lagrange(solution, manifold, p)
@@ -211,8 +217,8 @@ def _closest_point(manifold: LevelSet, p: Array) -> Array:
         return solution - jnp.linalg.solve(jacobian, residual)
 
     sizes = jnp.array(_STEP_SIZES)
-    start = (_restore(manifold, p), jnp.array(jnp.inf), 0)
-    y = jax.lax.while_loop(moving, move, start)[0]
+    far = jnp.array(jnp.inf, p.dtype)  # the first step is 0: it restores F = 0 only
+    y = jax.lax.while_loop(moving, move, (p, far, far, 0))[0]
     mu = multiplier(y, jax.jacfwd(manifold._equations)(y))
     return jax.lax.fori_loop(0, 3, polish, jnp.concatenate([y, mu]))
 
