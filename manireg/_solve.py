@@ -25,6 +25,7 @@ from .manifolds import AbstractManifold, Euclidean
 
 GAUGE = 0.1  # gamma vol(M) of the projected energy: holds Psi near N, costs 1e-4 of E
 STARTS = (1.0, 1e-2)
+FLOOR = 1e-20  # of mean |y|^2: an objective below it is rounding, a perfect fit
 
 Method = Literal["projected", "penalty"]
 
@@ -181,6 +182,8 @@ def free_problem(problem: Problem) -> Problem:
 
 def minimise(problem, lam, w0, method: Method, newton: Newton, max_steps: int):
     """From start coefficients to `(w, gamma, objective, result, stats)`."""
+    floor = FLOOR * jnp.mean(jnp.sum(problem.y**2, axis=1))
+    newton = eqx.tree_at(lambda n: n.atol, newton, newton.atol + floor)
     if method == "penalty":
         return penalty_path(problem, lam, w0, newton, max_steps)
     stage = Stage(problem, lam, GAUGE / problem.volume, True)
