@@ -15,7 +15,10 @@ from ._jets import second_derivative_pairs
 from .manifolds import AbstractManifold
 
 
-def _project(target: AbstractManifold, psi: Float[Array, " t"]) -> Float[Array, " t"]:
+def project_flat(
+    target: AbstractManifold, psi: Float[Array, " t"]
+) -> Float[Array, " t"]:
+    r"""$\pi(\Psi)$ in flattened coordinates."""
     return target.project(psi.reshape(target.point_shape)).ravel()
 
 
@@ -57,7 +60,7 @@ def projected_residual(
     value, first, second = jet[0], jet[1 : 1 + m], jet[1 + m :]
     rows = []
     for (a, b), h in zip(second_derivative_pairs(m), second):
-        push = lambda psi, v: jax.jvp(lambda p: _project(target, p), (psi,), (v,))[1]
+        push = lambda psi, v: jax.jvp(lambda p: project_flat(target, p), (psi,), (v,))[1]
         _, row = jax.jvp(push, (value, first[a]), (first[b], h))
         rows.append(row)
     return _multiplicities(m) * _to_tangent(target, value, jnp.stack(rows))
@@ -67,7 +70,7 @@ def off_manifold_residual(
     target: AbstractManifold, psi: Float[Array, " t"]
 ) -> Float[Array, " t"]:
     r"""$\Psi - \pi(\Psi)$."""
-    return psi - _project(target, psi)
+    return psi - project_flat(target, psi)
 
 
 def geodesic_loss(
@@ -76,11 +79,3 @@ def geodesic_loss(
     r"""$d_N(y, \pi(\Psi))^2$."""
     p = target.project(psi.reshape(target.point_shape))
     return target.squared_distance(p, y.reshape(target.point_shape))
-
-
-def loss_factor(
-    target: AbstractManifold, psi: Float[Array, " t"]
-) -> Float[Array, "t t"]:
-    r"""$D\pi(\Psi)$: its Gram matrix is half the Hessian model of the geodesic loss.
-    Exact for a perfect fit; where N is positively curved it never underestimates."""
-    return jax.jacfwd(lambda p: _project(target, p))(psi)
