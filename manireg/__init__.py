@@ -1,8 +1,13 @@
 """Non-parametric regression between Riemannian manifolds."""
 
+from importlib.metadata import version as _version
 
-from . import manifolds as manifolds
-from ._charts import Chart as Chart
+from . import (
+    baselines as baselines,
+    datasets as datasets,
+    manifolds as manifolds,
+    plot as plot,
+)
 from ._domain import Domain as Domain
 from ._energy import eells_energy as eells_energy, thin_plate_energy as thin_plate_energy
 from ._fit import fit as fit
@@ -17,14 +22,21 @@ from ._solve import RegressionMap as RegressionMap, solve as solve
 from ._sources import Box as Box, Interval as Interval
 from .manifolds import (
     AbstractManifold as AbstractManifold,
+    check_manifold as check_manifold,
     Cylinder as Cylinder,
     Ellipsoid as Ellipsoid,
     Euclidean as Euclidean,
     FlatTorus as FlatTorus,
+    Grassmann as Grassmann,
     LevelSet as LevelSet,
+    PlanarShapes as PlanarShapes,
     Product as Product,
+    SpecialOrthogonal as SpecialOrthogonal,
     Sphere as Sphere,
+    Stiefel as Stiefel,
+    SymmetricPositiveDefinite as SymmetricPositiveDefinite,
     Torus as Torus,
 )
 
 
+__version__ = _version("manireg")
