@@ -9,20 +9,22 @@ from . import (
     plot as plot,
 )
 from ._domain import Domain as Domain
-from ._energy import eells_energy as eells_energy, thin_plate_energy as thin_plate_energy
+from ._energy import (
+    eells_energy as eells_energy,
+    thin_plate_energy as thin_plate_energy,
+)
 from ._fit import fit as fit
 from ._objective import Energies as Energies
-from ._problem import make_problem as make_problem, Problem as Problem
+from ._problem import Problem as Problem, make_problem as make_problem
 from ._selection import (
-    cross_validate as cross_validate,
     CrossValidation as CrossValidation,
+    cross_validate as cross_validate,
     lambda_grid as lambda_grid,
 )
 from ._solve import RegressionMap as RegressionMap, solve as solve
 from ._sources import Box as Box, Interval as Interval
 from .manifolds import (
     AbstractManifold as AbstractManifold,
-    check_manifold as check_manifold,
     Cylinder as Cylinder,
     Ellipsoid as Ellipsoid,
     Euclidean as Euclidean,
@@ -36,7 +38,7 @@ from .manifolds import (
     Stiefel as Stiefel,
     SymmetricPositiveDefinite as SymmetricPositiveDefinite,
     Torus as Torus,
+    check_manifold as check_manifold,
 )
-
 
 __version__ = _version("manireg")

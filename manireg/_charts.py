@@ -40,20 +40,22 @@ def chart_of(source, around) -> Chart | None:
 @chart_of.register(Interval)
 @chart_of.register(Box)
 def _(source, around):
-    return Chart(*source.bounds, (False,) * source.dim, lambda u: u)
+    low, high = source.bounds
+    return Chart(low, high, (False,) * source.dim, lambda u: u)
 
 
 @chart_of.register
 def _(source: Euclidean, around):
-    return Chart(*_extent(source, around), (False,) * source.dim, lambda u: u)
+    low, high = _extent(source, around)
+    return Chart(low, high, (False,) * source.dim, lambda u: u)
 
 
 @chart_of.register
 def _(source: SymmetricPositiveDefinite, around):
     """Flat: orthonormal coordinates of the linear span, cut to the data."""
     basis = tangent_frames(source, np.zeros((1, np.prod(source.point_shape))))[0]
-    bounds = _extent(source, None if around is None else around @ basis)
-    return Chart(*bounds, (False,) * source.dim, lambda u: jnp.asarray(basis) @ u)
+    low, high = _extent(source, None if around is None else around @ basis)
+    return Chart(low, high, (False,) * source.dim, lambda u: jnp.asarray(basis) @ u)
 
 
 @chart_of.register
@@ -70,8 +72,8 @@ def _(source: FlatTorus, around):
 
 @chart_of.register
 def _(source: Cylinder, around):
-    height = None if around is None else around[:, 2:]
-    low, high = (np.append(end, z) for end, z in zip((0.0, 2 * np.pi), _extent(source, height)))
+    low, high = _extent(source, None if around is None else around[:, 2:])
+    low, high = np.append(0.0, low), np.append(2 * np.pi, high)
 
     def embed(u):
         return jnp.array(
@@ -97,7 +99,10 @@ def _(source: Torus, around):
 def _(source: Sphere, around):
     if source.dim != 1:
         return None
-    circle = lambda u: source.radius * jnp.array([jnp.cos(u[0]), jnp.sin(u[0])])
+
+    def circle(u):
+        return jnp.stack([jnp.cos(u[0]), jnp.sin(u[0])]) * source.radius
+
     return Chart(np.zeros(1), np.array([2 * np.pi]), (True,), circle)
 
 

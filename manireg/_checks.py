@@ -3,20 +3,20 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from ._sources import Box, Interval, Source
 from .manifolds import AbstractManifold
-
 
 ON_MANIFOLD = 1e-6  # allowed distance of data to a manifold, relative to their size
 
 
 def is_concrete(*values) -> bool:
-    return not any(isinstance(v, jax.core.Tracer) for v in values)
+    return not any(isinstance(v, Tracer) for v in values)
 
 
 def check_x64():
-    if not jax.config.jax_enable_x64:
+    if not jax.config.read("jax_enable_x64"):
         raise ValueError(
             "manireg needs float64, but JAX is in float32 mode. Switch it on before the "
             'first JAX call: jax.config.update("jax_enable_x64", True).'

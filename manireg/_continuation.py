@@ -8,7 +8,6 @@ from ._newton import Newton
 from ._objective import Stage, objective
 from ._problem import Problem
 
-
 MARGIN = 50.0  # gamma_0 in units of (L + lambda S) / (vol(M) reach^2): smaller ones let
 # Psi collapse to the medial axis, where |P D^2 Psi| is small
 FACTOR = 10.0  # gamma grows by it; additive steps cost many more Newton steps
@@ -43,7 +42,16 @@ def penalty_path(problem: Problem, lam, w0, newton: Newton, max_steps: int):
         w, total, new_gap, solution = minimise(w, FACTOR * gamma)
         stats = jax.tree.map(jnp.add, stats, _counts(solution))
         halved = new_gap < 0.5 * gap
-        return stage + 1, w, FACTOR * gamma, new_gap, halved, total, solution.result, stats
+        return (
+            stage + 1,
+            w,
+            FACTOR * gamma,
+            new_gap,
+            halved,
+            total,
+            solution.result,
+            stats,
+        )
 
     w, total, gap, solution = minimise(w0, gamma)
     first = (1, w, gamma, gap, True, total, solution.result, _counts(solution))

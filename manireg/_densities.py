@@ -60,7 +60,9 @@ def projected_residual(
     value, first, second = jet[0], jet[1 : 1 + m], jet[1 + m :]
     rows = []
     for (a, b), h in zip(second_derivative_pairs(m), second):
-        push = lambda psi, v: jax.jvp(lambda p: project_flat(target, p), (psi,), (v,))[1]
+        push = lambda psi, v: jax.jvp(lambda p: project_flat(target, p), (psi,), (v,))[
+            1
+        ]
         _, row = jax.jvp(push, (value, first[a]), (first[b], h))
         rows.append(row)
     return _multiplicities(m) * _to_tangent(target, value, jnp.stack(rows))

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from scipy.stats import qmc
 
 from ._charts import Chart, chart_of
@@ -54,7 +54,9 @@ def centres_of(source: Source, n: int, around=None) -> Domain:
             chart.lower, chart.upper, chart.periodic, spacings
         ):
             nodes = np.linspace(low, high, count + 1)
-            axes.append((nodes[:-1] if periodic else nodes, np.ones(count + 1 - periodic)))
+            axes.append(
+                (nodes[:-1] if periodic else nodes, np.ones(count + 1 - periodic))
+            )
         return _grid(source, chart, axes)
     if isinstance(source, Product):
         return _product_domain(source, n, around, centres_of)
@@ -89,7 +91,9 @@ def discretise(source: Source, n: int, around=None) -> Domain:
                 axes.append((nodes, np.full(len(nodes), (high - low) / len(nodes))))
             else:
                 # two panels a spacing: the kernel's joints fall on panel ends
-                panels, nodes = (2, per_axis // 2) if per_axis % 2 == 0 else (1, per_axis)
+                panels, nodes = (
+                    (2, per_axis // 2) if per_axis % 2 == 0 else (1, per_axis)
+                )
                 axes.append(_gauss_panels(low, high, count * panels, nodes))
         return _grid(source, chart, axes)
     if isinstance(source, Product):
@@ -108,7 +112,9 @@ def _axis_counts(chart: Chart, n: int) -> list[int]:
         points = np.asarray(jax.vmap(chart.embed)(jnp.asarray(line)))
         lengths.append(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     spacing = (np.prod(lengths) / n) ** (1 / len(lengths))
-    return [max(1 if not p else 3, round(l / spacing)) for l, p in zip(lengths, chart.periodic)]
+    counts = [max(1, round(length / spacing)) for length in lengths]
+    # a closed curve needs three centres to be covered
+    return [max(3, n) if p else n for n, p in zip(counts, chart.periodic)]
 
 
 def _gauss_panels(a: float, b: float, panels: int, nodes: int):
@@ -140,17 +146,25 @@ def _product_domain(source: Product, n: int, around, build) -> Domain:
     index = np.stack(
         np.meshgrid(*(np.arange(len(d.points)) for d in domains), indexing="ij"), -1
     ).reshape(-1, len(domains))
-    picked = [jax.tree.map(lambda a, i=i: a[index[:, i]], d) for i, d in enumerate(domains)]
+    picked = [
+        jax.tree.map(lambda a, i=i: a[index[:, i]], d) for i, d in enumerate(domains)
+    ]
     frames = jax.vmap(jax.scipy.linalg.block_diag)(*(d.frames for d in picked))
     points = jnp.concatenate([d.points for d in picked], axis=1)
     weights = functools.reduce(jnp.multiply, (d.weights for d in picked))
     return with_second_forms(source, points, frames, weights)
 
 
-def _quasi_uniform(source: AbstractManifold, n: int, with_weights: bool) -> Domain:
+def _quasi_uniform(source: Source, n: int, with_weights: bool) -> Domain:
+    if not isinstance(source, AbstractManifold):
+        raise TypeError(
+            f"cannot discretise a {type(source).__name__}; use mr.Interval, mr.Box or a "
+            "manifold as the source."
+        )
     if isinstance(source, Sphere) and source.dim == 2:
-        points = float(source.radius) * _fibonacci(n)
-        weights = np.full(n, 4 * np.pi * float(source.radius) ** 2 / n)
+        radius = np.asarray(source.radius)
+        points = radius * _fibonacci(n)
+        weights = np.full(n, 4 * np.pi * radius**2 / n)
         frames = tangent_frames(source, points)
     else:
         cloud = source.random_points(jax.random.key(0), _CLOUD * n)
@@ -185,7 +199,7 @@ def _voronoi_volumes(source, points, frames) -> np.ndarray:
     are sent to M by u -> pi(p + E u); those that stay nearest to p count, each with the
     volume distortion of that map."""
     m = source.dim
-    tree = cKDTree(points)
+    tree = KDTree(points)
     neighbours = min(len(points), 2 * m + 2)
     radius = tree.query(points, k=neighbours)[0][:, -1]
     ball = qmc.Sobol(m, rng=0).random(4 * _TANGENT_SAMPLES) * 2 - 1

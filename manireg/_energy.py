@@ -79,9 +79,10 @@ def _samples(source: Source, samples: int | Domain) -> Domain:
     check_x64()
     if isinstance(samples, Domain):
         return samples
+    samples = int(samples)
     if isinstance(source, Sphere) and source.dim > 1:
         return _sphere_gauss(source, samples)
-    per_centre = {1: 10, 2: 16}.get(source.dim, 3**source.dim)
+    per_centre = 16 if source.dim == 2 else max(10, 3**source.dim)
     return discretise(source, max(1, samples // per_centre))
 
 
@@ -98,7 +99,7 @@ def _sphere_gauss(sphere: Sphere, samples: int) -> Domain:
         rows = np.broadcast_to(z[:, None, None], (len(z), len(points), 1))
         points = np.concatenate([rho * points, rows], axis=2).reshape(-1, n + 1)
         weights = np.outer(w, weights).ravel()
-    radius = float(sphere.radius)
+    radius = np.asarray(sphere.radius)
     frames = tangent_frames(sphere, points)
     return with_second_forms(
         sphere, radius * points, frames, radius**sphere.dim * weights

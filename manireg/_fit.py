@@ -1,5 +1,7 @@
 """The one-call path."""
 
+from typing import Any
+
 from jaxtyping import ArrayLike, ScalarLike
 
 from ._problem import make_problem
@@ -34,9 +36,14 @@ def fit(
     **Returns:** a `RegressionMap`: call it on new points; `.energies`, `.lam`,
     `.result`, `.stats`.
 
-    Source: F. Steinke and M. Hein, Non-parametric Regression Between Manifolds, NIPS 2008.
+    Source: F. Steinke, M. Hein, Non-parametric Regression Between Manifolds, NIPS 2008.
     """
-    data = dict(weights=weights, centres=centres, degree=degree, width=width)
+    data: dict[str, Any] = {
+        "weights": weights,
+        "centres": centres,
+        "degree": degree,
+        "width": width,
+    }
     if lam is None:
         return cross_validate(source, target, x, y, **data, **options).model
     return solve(make_problem(source, target, x, y, **data), lam, **options)

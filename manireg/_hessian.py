@@ -5,6 +5,8 @@ E(w) = sum_q weight_q phi(A_q w), so its Hessian is sum_q A_q^T (weight_q D^2 ph
 projector and projection: always positive semidefinite. `exact` differentiates twice.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -95,10 +97,10 @@ def _add(blocks, local: Float[Array, "e p Jt Jt"], jets: Jets, scatter: Scatter)
     t = blocks.shape[-1]
     e, p, J, U = jets.matrices.shape
     local = local.reshape(e, p, J, t, J, t)
-    half = sum(
+    terms = [
         local[:, :, :, :, k, None, :] * jets.matrices[:, :, None, None, k, :, None]
         for k in range(J)
-    )
-    half = half.reshape(e, p * J, t * U * t)
+    ]
+    half = functools.reduce(jnp.add, terms).reshape(e, p * J, t * U * t)
     whole = jnp.einsum("equ,eqv->euv", jets.matrices.reshape(e, p * J, U), half)
     return scatter_add(blocks, scatter, whole.reshape(e, U, t, U, t))

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from ._local_polynomials import LocalPolynomials, basis_values
 
@@ -54,7 +54,7 @@ def jets_of(
     index, mask, near = (jnp.asarray(a) for a in elements)
     columns = near[:, :, None] * basis.size + jnp.arange(basis.size)
     columns = columns.reshape(len(near), -1)
-    if frames is None:
+    if frames is None or second_forms is None:
         matrices = _value_rows(basis, points[index], near)
     else:
         matrices = _jet_rows(
@@ -93,7 +93,7 @@ def _jet_rows(basis, points, frames, second_forms, near):
 def _elements(basis: LocalPolynomials, points: np.ndarray, points_per_element: int):
     """Group points by their nearest centre, chunk the groups, join their centres."""
     centres, widths = np.asarray(basis.centres), np.asarray(basis.widths)
-    tree = cKDTree(points)
+    tree = KDTree(points)
     supports = [
         np.asarray(inside, dtype=int)
         for inside in tree.query_ball_point(centres, widths * (1 - 1e-12))
@@ -122,12 +122,12 @@ def _elements(basis: LocalPolynomials, points: np.ndarray, points_per_element: i
     element = np.zeros(len(points), dtype=int)
     for e, chunk in enumerate(chunks):
         element[chunk] = e
-    near: list[list[int]] = [[] for _ in chunks]
+    centres_near: list[list[int]] = [[] for _ in chunks]
     for i, inside in enumerate(supports):
         for e in np.unique(element[inside]):
-            near[e].append(i)
+            centres_near[e].append(i)
     index, inside = _padded(chunks, fill=[chunk[0] for chunk in chunks])
-    near, _ = _padded(near, fill=[-1] * len(near))
+    near, _ = _padded(centres_near, fill=[-1] * len(chunks))
     return index, inside.astype(float), near
 
 

@@ -34,6 +34,7 @@ class SparseCholesky(_AbstractDirect):
 
     def init(self, operator, options):
         del options
+        operator = _sparse(operator)
         scale = _scale(operator)
         i, j = operator.coordinates()
         identity = jnp.eye(operator.blocks.shape[-1]) * _on_diagonal(operator)
@@ -51,6 +52,7 @@ class SparseLU(_AbstractDirect):
 
     def init(self, operator, options):
         del options
+        operator = _sparse(operator)
         scale = _scale(operator)
         i, j = operator.coordinates()
         values = _scaled_blocks(operator, scale)
@@ -69,7 +71,7 @@ class DenseCholesky(_AbstractDirect):
 
     def init(self, operator, options):
         del options
-        matrix, scale = _dense(operator)
+        matrix, scale = _dense(_sparse(operator))
         return jnp.linalg.cholesky(matrix + self.ridge * jnp.eye(len(matrix))), scale
 
     def compute(self, state, vector, options):
@@ -82,7 +84,7 @@ class DenseCholesky(_AbstractDirect):
 class DenseLU(_AbstractDirect):
     def init(self, operator, options):
         del options
-        matrix, scale = _dense(operator)
+        matrix, scale = _dense(_sparse(operator))
         return jax.scipy.linalg.lu_factor(matrix), scale
 
     def compute(self, state, vector, options):
@@ -112,6 +114,12 @@ def direct_solvers(kind: str = "auto") -> DirectSolvers:
     raise ValueError(
         f"linear_algebra: expected 'auto', 'sparse' or 'dense', found {kind!r}."
     )
+
+
+def _sparse(operator: lx.AbstractLinearOperator) -> SparseSymmetric:
+    if not isinstance(operator, SparseSymmetric):
+        raise TypeError(f"expected a SparseSymmetric, found {type(operator).__name__}.")
+    return operator
 
 
 def _scale(operator: SparseSymmetric):

@@ -26,7 +26,7 @@ class _NewtonState(eqx.Module):
     search_state: Any
     num_trials: Int[Array, ""]
     # updated after every accepted step
-    f_info: optx.FunctionInfo.EvalGrad
+    f_info: Any
     aux: Any
     descent_state: Any
     near: Bool[Array, ""]
@@ -125,7 +125,14 @@ class Newton(optx.AbstractMinimiser):
 
         def rejected():
             unfinished = jnp.array(False)
-            return y, state.f_info, state.aux, state.descent_state, state.near, unfinished
+            return (
+                y,
+                state.f_info,
+                state.aux,
+                state.descent_state,
+                state.near,
+                unfinished,
+            )
 
         y, f_info, aux, descent_state, near, terminate = jax.lax.cond(
             accept, accepted, rejected
@@ -135,9 +142,7 @@ class Newton(optx.AbstractMinimiser):
             search_result == optx.RESULTS.successful, descent_result, search_result
         )
         stalled = ~accept & (step_size < self.min_step)
-        result = optx.RESULTS.where(
-            stalled, optx.RESULTS.nonlinear_divergence, result
-        )
+        result = optx.RESULTS.where(stalled, optx.RESULTS.nonlinear_divergence, result)
         new_state = _NewtonState(
             first_step=jnp.array(False),
             y_eval=jtu.tree_map(jnp.add, y, step),

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-
 _SERIES_LIMIT = 0.5  # below this squared chord the power series is exact to rounding
 _MAX_ANGLE = np.pi - 0.05  # beyond it the squared angle continues linearly in q
 _MAX_CHORD2 = 2.0 - 2.0 * np.cos(_MAX_ANGLE)

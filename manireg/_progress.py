@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 from tqdm.auto import tqdm
 
-
 # A compiled program outlives the bar it was traced with, so it is handed a number and
 # looks the bar up here. Entries live only inside `progress_bar`.
 _open_bars: dict[int, tqdm] = {}

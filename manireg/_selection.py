@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Float, Int, PRNGKeyArray
+from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 
 from ._checks import check_lam
 from ._densities import geodesic_loss
@@ -25,7 +25,6 @@ from ._solve import (
 from ._sources import Source
 from .manifolds import AbstractManifold
 
-
 GRID = 20
 WIDENINGS = 2  # times the default grid may be extended past an edge
 COARSE = 1e-6  # relative decrease at which the fits of the folds stop
@@ -39,8 +38,8 @@ class CrossValidation(eqx.Module):
     lams: Float[Array, " lams"]
     scores: Float[Array, "folds lams"]
     """(Weighted) mean squared geodesic error on each held-out fold."""
-    converged: Float[Array, "folds lams"]
-    """1 where Newton converged."""
+    converged: Bool[Array, "folds lams"]
+    """Where Newton converged."""
     model: RegressionMap
 
     @property
@@ -97,7 +96,14 @@ def cross_validate(
     - `progress`: show a progress bar.
     """
     problem = make_problem(
-        source, target, x, y, weights=weights, centres=centres, degree=degree, width=width
+        source,
+        target,
+        x,
+        y,
+        weights=weights,
+        centres=centres,
+        degree=degree,
+        width=width,
     )
     k = len(problem.y)
     if not 2 <= folds <= k:
@@ -110,7 +116,9 @@ def cross_validate(
     solvers = direct_solvers(linear_algebra)
 
     def scores_of(lams):
-        with progress_bar(len(training) * len(lams), "cross-validation", progress) as bar:
+        with progress_bar(
+            len(training) * len(lams), "cross-validation", progress
+        ) as bar:
             return jax.block_until_ready(
                 _paths(problem, jnp.asarray(training), lams, solvers, max_steps, bar)
             )

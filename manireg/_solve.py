@@ -7,9 +7,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
-import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
+from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from ._checks import check_lam, check_points, is_concrete
 from ._continuation import penalty_path
@@ -21,7 +20,6 @@ from ._objective import Energies, Stage, objective
 from ._problem import Problem
 from ._sources import Source
 from .manifolds import AbstractManifold, Euclidean
-
 
 GAUGE = 0.1  # gamma vol(M) of the projected energy: holds Psi near N, costs 1e-4 of E
 STARTS = (1.0, 1e-2)
@@ -52,7 +50,8 @@ class RegressionMap(eqx.Module):
         if is_concrete(x):
             flat = jnp.asarray(check_points("x", self.source, x))
         else:
-            flat = jnp.asarray(x).reshape(len(x), -1)
+            points = jnp.asarray(x)
+            flat = points.reshape(len(points), -1)
         values, covered = evaluate(self.basis, self.coefficients, flat)
         values = eqx.error_if(
             values,
@@ -120,7 +119,14 @@ def solve(
         )
     solvers = direct_solvers(linear_algebra)
     model = _solve(
-        problem, jnp.asarray(lam, float), tuple(starts), warm, method, solvers, rtol, max_steps
+        problem,
+        jnp.asarray(lam, float),
+        tuple(starts),
+        warm,
+        method,
+        solvers,
+        rtol,
+        max_steps,
     )
     if not throw:
         return model

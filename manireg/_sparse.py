@@ -58,7 +58,8 @@ class SparseSymmetric(lx.AbstractLinearOperator):
         inside = jnp.arange(t, dtype=self.pattern.rows.dtype)
         i = self.pattern.rows[:, None, None] * t + inside[:, None]
         j = self.pattern.cols[:, None, None] * t + inside[None, :]
-        return tuple(jnp.broadcast_to(a, self.blocks.shape) for a in (i, j))
+        shape = self.blocks.shape
+        return jnp.broadcast_to(i, shape), jnp.broadcast_to(j, shape)
 
     def transpose(self):
         return self
@@ -109,7 +110,9 @@ def sparsity(families_of_columns: list[Int[Array, "e U"]], size: int):
 
 
 def scatter_add(
-    blocks: Float[Array, "nnz t t"], scatter: Scatter, elements: Float[Array, "e U t U t"]
+    blocks: Float[Array, "nnz t t"],
+    scatter: Scatter,
+    elements: Float[Array, "e U t U t"],
 ) -> Float[Array, "nnz t t"]:
     """Add element matrices to the blocks of a pattern."""
     t = elements.shape[-1]

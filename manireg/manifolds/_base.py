@@ -1,6 +1,7 @@
 """The manifold interface: what a target (or a source) has to be able to do."""
 
 import abc
+from typing import TYPE_CHECKING, ClassVar
 
 import equinox as eqx
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
@@ -19,8 +20,13 @@ class AbstractManifold(eqx.Module):
     most of them into one line. `manireg.check_manifold` then runs the laws.
     """
 
-    dim: eqx.AbstractVar[int]
-    point_shape: eqx.AbstractVar[tuple[int, ...]]
+    if TYPE_CHECKING:
+        # a type checker would take an `AbstractVar` for an argument of the constructor
+        dim: ClassVar[int]
+        point_shape: ClassVar[tuple[int, ...]]
+    else:
+        dim: eqx.AbstractVar[int]
+        point_shape: eqx.AbstractVar[tuple[int, ...]]
 
     @property
     @abc.abstractmethod
@@ -30,7 +36,7 @@ class AbstractManifold(eqx.Module):
     @property
     @abc.abstractmethod
     def injectivity_radius(self) -> ScalarLike:
-        """Radius below which geodesics are unique shortest paths (a lower bound is fine)."""
+        """Radius below which geodesics are unique shortest paths (or a lower bound)."""
 
     @abc.abstractmethod
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:

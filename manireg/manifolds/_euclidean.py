@@ -1,8 +1,8 @@
 """Euclidean space: the flat case, in which manifold regression is spline smoothing."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-import equinox as eqx
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from ._base import AbstractManifold

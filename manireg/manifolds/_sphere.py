@@ -1,7 +1,7 @@
 """The round sphere: the template to copy for a manifold with closed formulas."""
 
-import jax
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
@@ -40,7 +40,7 @@ class Sphere(AbstractManifold):
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
         r"""$r p / |p|$; undefined (NaN) at the origin, the medial axis."""
-        return self.radius * p / jnp.linalg.norm(p, axis=-1, keepdims=True)
+        return p * (self.radius / jnp.linalg.norm(p, axis=-1, keepdims=True))
 
     def tangent_projection(
         self, p: Float[Array, "..."], v: Float[Array, "..."]
@@ -60,7 +60,7 @@ class Sphere(AbstractManifold):
     ) -> Float[Array, "..."]:
         r"""$r^2 F(|p - q|^2 / r^2)$; near the cut locus (antipodes) continued linearly
         in the squared chord, see `manireg._numerics.squared_angle`."""
-        return self.radius**2 * squared_angle(norm_squared(p - q) / self.radius**2)
+        return squared_angle(norm_squared(p - q) / self.radius**2) * self.radius**2
 
     def exp(
         self, p: Float[Array, "..."], v: Float[Array, "..."]

@@ -14,19 +14,18 @@ class Torus(AbstractManifold):
     r"""$((R + r\cos\theta)\cos\varphi, (R + r\cos\theta)\sin\varphi, r\sin\theta)$ in
     $\mathbb{R}^3$: a tube of radius r about a circle of radius R, the core.
 
-    **Arguments:** `major` the radius R of the core, `minor` the radius r < R of the
-    tube, floats or traced scalars.
+    **Arguments:** `R` the radius of the core, `r` < R the radius of the tube, floats or traced scalars.
     """
 
-    major: ScalarLike = 2.0
-    minor: ScalarLike = 1.0
+    R: ScalarLike = 2.0
+    r: ScalarLike = 1.0
 
     def __check_init__(self):
-        R, r = self.major, self.minor
+        R, r = self.R, self.r
         if isinstance(R, float | int) and isinstance(r, float | int):
             if not 0 < r < R:
                 raise ValueError(
-                    "Torus: `minor` must be positive and smaller than `major`, or the "
+                    "Torus: `r` must be positive and smaller than `R`, or the "
                     f"surface meets itself; found {r} and {R}."
                 )
 
@@ -41,7 +40,7 @@ class Torus(AbstractManifold):
     @property
     def reach(self) -> ScalarLike:
         r"""$\min(r, R - r)$: to the core, or to the axis."""
-        return jnp.minimum(self.minor, jnp.subtract(self.major, self.minor))
+        return jnp.minimum(self.r, jnp.subtract(self.R, self.r))
 
     @property
     def injectivity_radius(self) -> ScalarLike:
@@ -54,7 +53,7 @@ class Torus(AbstractManifold):
         plane = p[..., :2]
         rho = jnp.linalg.norm(plane, axis=-1, keepdims=True)
         core = jnp.concatenate(
-            [self.major * plane / rho, jnp.zeros_like(p[..., 2:])], axis=-1
+            [self.R * plane / rho, jnp.zeros_like(p[..., 2:])], axis=-1
         )
         normal = p - core
         return rho, core, normal / jnp.linalg.norm(normal, axis=-1, keepdims=True)
@@ -63,7 +62,7 @@ class Torus(AbstractManifold):
         r"""$c + r (p - c)/|p - c|$, c the closest point of the core; undefined (NaN) on
         the core and on the axis."""
         _, core, normal = self._core(p)
-        return core + self.minor * normal
+        return core + self.r * normal
 
     def tangent_projection(
         self, p: Float[Array, "..."], v: Float[Array, "..."]
@@ -79,11 +78,11 @@ class Torus(AbstractManifold):
         v_\varphi\big) \nu$: principal curvatures $-1/r$ along the meridian and
         $-\cos\theta/\rho$ along the parallel, $\rho = R + r\cos\theta$."""
         rho, _, normal = self._core(p)
-        cosine = (rho - self.major) / self.minor
+        cosine = (rho - self.R) / self.r
         u_phi = (p[..., :1] * u[..., 1:2] - p[..., 1:2] * u[..., :1]) / rho
         v_phi = (p[..., :1] * v[..., 1:2] - p[..., 1:2] * v[..., :1]) / rho
-        meridian = jnp.sum(u * v, axis=-1, keepdims=True) / self.minor
-        parallel = (cosine / rho - 1.0 / self.minor) * u_phi * v_phi
+        meridian = jnp.sum(u * v, axis=-1, keepdims=True) / self.r
+        parallel = (cosine / rho - 1.0 / self.r) * u_phi * v_phi
         return -(meridian + parallel) * normal
 
     def squared_distance(
@@ -110,9 +109,9 @@ class Torus(AbstractManifold):
         k1, k2, k3 = jax.random.split(key, 3)
         phi = jax.random.uniform(k1, (n,), maxval=2 * np.pi)
         theta = jax.random.uniform(k2, (n,), maxval=2 * np.pi)
-        keep = (1.0 + self.minor / self.major * jnp.cos(theta)) / 2.0
+        keep = (1.0 + self.r / self.R * jnp.cos(theta)) / 2.0
         theta = jnp.where(jax.random.uniform(k3, (n,)) < keep, theta, np.pi - theta)
-        rho = self.major + self.minor * jnp.cos(theta)
+        rho = self.R + self.r * jnp.cos(theta)
         return jnp.stack(
-            [rho * jnp.cos(phi), rho * jnp.sin(phi), self.minor * jnp.sin(theta)], -1
+            [rho * jnp.cos(phi), rho * jnp.sin(phi), self.r * jnp.sin(theta)], -1
         )
