@@ -81,7 +81,7 @@ def _derivatives(f, jets: Float[Array, "e p J t"]) -> Float[Array, "Jt e p ..."]
 
 
 def _assemble(
-    stage: Stage, energy: Float[Array, "e p Jt Jt"], data: Float[Array, "d p t t"]
+    stage: Stage, energy: Float[Array, "e p Jt Jt"], data: Float[Array, "d r t t"]
 ) -> SparseSymmetric:
     problem, t = stage.problem, stage.problem.y.shape[1]
     blocks = jnp.zeros((len(problem.pattern.rows), t, t))
