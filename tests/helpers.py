@@ -5,10 +5,6 @@ import jax.numpy as jnp
 from manireg import manifolds
 
 
-def sphere_equation(p):
-    return jnp.sum(p**2) - 1.0
-
-
 def quartic(p):
     return jnp.sum(p**4) - 1.0
 

@@ -14,7 +14,8 @@ class Torus(AbstractManifold):
     r"""$((R + r\cos\theta)\cos\varphi, (R + r\cos\theta)\sin\varphi, r\sin\theta)$ in
     $\mathbb{R}^3$: a tube of radius r about a circle of radius R, the core.
 
-    **Arguments:** `R` the radius of the core, `r` < R the radius of the tube, floats or traced scalars.
+    **Arguments:** `R` the radius of the core, `r` < R the radius of the tube, floats
+    or traced scalars.
     """
 
     R: ScalarLike = 2.0
