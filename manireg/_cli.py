@@ -285,19 +285,17 @@ def _report(
     files: list[Path],
     more: dict[str, str] | None = None,
 ) -> None:
-    def rms(mean_square) -> str:
-        root = float(np.sqrt(mean_square))
-        return f"{root:.4g}" if degrees is None else f"{root * degrees:.3g} degrees"
+    def shown(error) -> str:
+        unit = 1.0 if degrees is None else degrees
+        return f"{float(error) * unit:.3g}" + ("" if degrees is None else " degrees")
 
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_row("data", data)
     chosen = " (cross-validation)" if cv is not None else ""
     table.add_row("lambda", f"{float(model.lam):.4g}{chosen}")
     if cv is not None:
-        scores = np.asarray(cv.scores).mean(0)
-        best = scores[np.argmin(np.abs(np.log(np.asarray(cv.lams) / float(cv.lam))))]
-        table.add_row("held-out error, rms", rms(best))
-    table.add_row("residual, rms", rms(model.energies.loss))
+        table.add_row("held-out error, mean", shown(cv.score))
+    table.add_row("residual, rms", shown(np.sqrt(model.energies.loss)))
     for name, value in (more or {}).items():
         table.add_row(name, value)
     table.add_row("Eells energy", f"{float(model.energies.eells):.4g}")

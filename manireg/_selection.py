@@ -37,7 +37,8 @@ class CrossValidation(eqx.Module):
     """The lambda of the lowest mean score."""
     lams: Float[Array, " lams"]
     scores: Float[Array, "folds lams"]
-    """(Weighted) mean squared geodesic error on each held-out fold."""
+    """(Weighted) mean geodesic error on each held-out fold: not squared, so that one datum
+    in a gap, far off whatever lambda is, does not decide alone."""
     converged: Bool[Array, "folds lams"]
     """Where Newton converged."""
     model: RegressionMap
@@ -133,16 +134,16 @@ def cross_validate(
                 _paths(problem, jnp.asarray(training), lams, solvers, max_steps, bar)
             )
 
-    if lams is not None:
-        check_lam(lams, "lams")
-        lams = jnp.sort(jnp.asarray(lams, float).ravel())
-        paths = scores_of(lams)
+    if lams is None:
+        grid, paths = _widening(lambda_grid(problem), scores_of)
     else:
-        lams, paths = _widening(lambda_grid(problem), scores_of)
+        check_lam(lams, "lams")
+        grid = jnp.sort(jnp.asarray(lams, float).ravel())
+        paths = scores_of(grid)
     scores, w, converged = paths
     best = int(jnp.argmin(jnp.mean(scores[:folds], axis=0)))
-    model = solve(problem, lams[best], warm=w[-1, best], linear_algebra=linear_algebra)
-    return CrossValidation(lams[best], lams, scores[:folds], converged[:folds], model)
+    model = solve(problem, grid[best], warm=w[-1, best], linear_algebra=linear_algebra)
+    return CrossValidation(grid[best], grid, scores[:folds], converged[:folds], model)
 
 
 def _widening(lams, scores_of):
@@ -198,10 +199,10 @@ def _paths(problem: Problem, training, lams, solvers, max_steps: int, bar):
 
 
 def _held_out(problem: Problem, inside, w) -> Float[Array, ""]:
-    """Weighted mean loss on the data outside the fold's training set."""
+    """Weighted mean geodesic error on the data outside the training set."""
     jets = problem.data_jets
     values = jet_values(jets, w)[:, :, 0]
-    loss = lambda psi, y: geodesic_loss(problem.target, psi, y)
-    losses = jax.vmap(jax.vmap(loss))(values, problem.y[jets.index])
+    error = lambda psi, y: jnp.sqrt(geodesic_loss(problem.target, psi, y))
+    errors = jax.vmap(jax.vmap(error))(values, problem.y[jets.index])
     held_out = (problem.weights * ~inside)[jets.index] * jets.mask
-    return jnp.sum(held_out * losses) / jnp.sum(held_out)
+    return jnp.sum(held_out * errors) / jnp.sum(held_out)

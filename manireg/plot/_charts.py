@@ -28,7 +28,7 @@ def cv_curve(cv: Any, *, ax: Axes | None = None) -> Figure:
         lam = float(cv.lam)
         label = rf"$\lambda = {lam:.2g}$"
         ax.axvline(lam, color=ORANGE, lw=1, ls="--", zorder=0, label=label)
-        ax.set(xscale="log", xlabel=r"$\lambda$", ylabel="mean squared held-out error")
+        ax.set(xscale="log", xlabel=r"$\lambda$", ylabel="mean held-out error")
         if mean.max() > 10 * mean.min():
             low = (mean - error)[mean > error].min()
             ax.set(yscale="log", ylim=(low / 1.3, 1.3 * (mean + error).max()))
