@@ -159,7 +159,7 @@ def test_automatic_lambda(fit, tmp_path):
     file = table(tmp_path / "data.csv", age=t, x=x, y=y, z=z)
     arguments = ["--target", "sphere", "--input", "age", "--output", "x,y,z"]
     out, printed = fit(file, *arguments, "--folds", 4)
-    assert "(cross-validation)" in printed and "held-out error, rms" in printed
+    assert "(cross-validation)" in printed and "held-out error, mean" in printed
     age, *_ = columns_of(out, "age").T
     error = np.linalg.norm(columns_of(out, "x", "y", "z") - great_circle(age), axis=-1)
     assert np.sqrt(np.mean(error**2)) < 0.03
