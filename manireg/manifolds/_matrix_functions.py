@@ -1,8 +1,9 @@
 """Functions of matrices whose derivatives are exact to all orders, also where singular
 values or eigenvalues coincide (there the derivative of `svd` and `eigh` is NaN).
 
-Each is a `jax.custom_jvp` whose rule calls the function itself, so that the rule can be
-differentiated again. Arguments are `(..., n, n)`, or `(..., n, p)` where said.
+The projections are `jax.custom_jvp` functions whose rule calls the function itself, so
+that it can be differentiated again. Arguments are `(..., n, n)`, or `(..., n, p)` where
+said.
 """
 
 import functools
@@ -32,25 +33,29 @@ def identity_like(a: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
     return jnp.broadcast_to(jnp.eye(a.shape[-1], dtype=a.dtype), a.shape)
 
 
-@jax.custom_jvp
 def lyapunov(
     s: Inexact[Array, "..."], k: Inexact[Array, "..."]
 ) -> Inexact[Array, "..."]:
-    """X with s X + X s = k, for Hermitian s without opposite eigenvalues."""
+    """X with s X + X s = k, for Hermitian s without opposite eigenvalues. A linear solve
+    to JAX, so that `eigh` is never differentiated, in forward or in reverse mode."""
+    s, k = jnp.broadcast_arrays(s, k)
+    return jax.lax.custom_linear_solve(
+        lambda x: s @ x + x @ s,
+        k,
+        solve=lambda _, k: _solve_lyapunov(s, k),
+        transpose_solve=lambda _, k: _solve_lyapunov(jnp.conj(s), k),
+    )
+
+
+def _solve_lyapunov(
+    s: Inexact[Array, "..."], k: Inexact[Array, "..."]
+) -> Inexact[Array, "..."]:
     values, vectors = jnp.linalg.eigh(s)
     sums = values[..., :, None] + values[..., None, :]
     # A zero sum of an eigenvalue with itself meets a zero of k (skew k): 0/1, not 0/0.
     sums = jnp.where(sums == 0.0, 1.0, sums)
     x = adjoint(vectors) @ k @ vectors / sums
     return vectors @ x @ adjoint(vectors)
-
-
-@lyapunov.defjvp
-def _lyapunov_jvp(primals, tangents):
-    s, k = primals
-    ds, dk = tangents
-    x = lyapunov(s, k)
-    return x, lyapunov(s, dk - ds @ x - x @ ds)
 
 
 def _skew_lyapunov(
@@ -119,7 +124,9 @@ def _foam(p: Float[Array, "..."]) -> Float[Array, "..."]:
     scale = (kappa * root - det)[..., None, None]
     kappa, root = kappa[..., None, None], root[..., None, None]
     y = ((kappa + 1.0) * p + root * cofactors - p @ adjoint(p) @ p) / scale
-    return 1.5 * y - 0.5 * (y @ adjoint(y) @ y)  # removes the rounding from y^T y - I
+    for _ in range(2):  # removes the rounding from y^T y - I
+        y = 1.5 * y - 0.5 * (y @ adjoint(y) @ y)
+    return y
 
 
 @jax.custom_jvp
