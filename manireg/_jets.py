@@ -36,6 +36,12 @@ def jet_values(jets: Jets, w: Float[Array, "KC t"]) -> Float[Array, "e p J t"]:
     return jnp.einsum("epju,eut->epjt", jets.matrices, w[jets.columns])
 
 
+def values_at_data(jets: Jets, w: Float[Array, "KC t"], k: int) -> Float[Array, "k t"]:
+    """Values of the map at the k points of `jets`, in their own order."""
+    values = jet_values(jets, w)[:, :, 0] * jets.mask[:, :, None]
+    return jnp.zeros((k, w.shape[1])).at[jets.index].add(values)
+
+
 def second_derivative_pairs(m: int) -> list[tuple[int, int]]:
     """Order of the second derivatives in a jet: (0,0), (0,1), ..., (m-1,m-1)."""
     return [(a, b) for a in range(m) for b in range(a, m)]

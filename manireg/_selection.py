@@ -10,8 +10,8 @@ import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 
 from ._checks import check_lam
-from ._densities import geodesic_loss
-from ._jets import jet_values
+from ._folds import GRID, evaluated, held_out_error, training_sets
+from ._jets import values_at_data
 from ._linear_solvers import direct_solvers
 from ._problem import Problem, make_problem
 from ._progress import progress_bar, tick
@@ -25,8 +25,6 @@ from ._solve import (
 from ._sources import Source
 from .manifolds import AbstractManifold
 
-GRID = 20
-WIDENINGS = 2  # times the default grid may be extended past an edge
 COARSE = 1e-6  # relative decrease at which the fits of the folds stop
 
 
@@ -37,8 +35,7 @@ class CrossValidation(eqx.Module):
     """The lambda of the lowest mean score."""
     lams: Float[Array, " lams"]
     scores: Float[Array, "folds lams"]
-    """(Weighted) mean geodesic error on each held-out fold: not squared, so that one datum
-    in a gap, far off whatever lambda is, does not decide alone."""
+    """(Weighted) mean geodesic error on each held-out fold."""
     converged: Bool[Array, "folds lams"]
     """Where Newton converged."""
     model: RegressionMap
@@ -116,53 +113,27 @@ def cross_validate(
         degree=degree,
         width=width,
     )
-    k = len(problem.y)
-    if not 2 <= folds <= k:
-        raise ValueError(f"folds: must lie between 2 and the number of data, {k}.")
-    key = jax.random.key(0) if key is None else key
-    fold_of = np.asarray(jax.random.permutation(key, k)) % folds
-    training = np.concatenate(
-        [fold_of[None, :] != np.arange(folds)[:, None], np.ones((1, k), bool)]
-    )
+    training = training_sets(len(problem.y), folds, key)
+    everything = np.ones((1, len(problem.y)), dtype=bool)
+    rows = jnp.asarray(np.concatenate([training, everything]))
     solvers = direct_solvers(linear_algebra)
 
-    def scores_of(lams):
-        with progress_bar(
-            len(training) * len(lams), "cross-validation", progress
-        ) as bar:
-            return jax.block_until_ready(
-                _paths(problem, jnp.asarray(training), lams, solvers, max_steps, bar)
-            )
+    def evaluate(grid):
+        ticks = len(rows) * len(grid)
+        with progress_bar(ticks, "cross-validation", progress) as bar:
+            paths = _paths(problem, rows, grid, solvers, max_steps, bar)
+            scores, w, converged = jax.block_until_ready(paths)
+        return scores[:-1], w[-1:], converged[:-1]
 
     if lams is None:
-        grid, paths = _widening(lambda_grid(problem), scores_of)
+        grid = lambda_grid(problem)
     else:
         check_lam(lams, "lams")
         grid = jnp.sort(jnp.asarray(lams, float).ravel())
-        paths = scores_of(grid)
+    grid, paths, best = evaluated(grid, evaluate, widen=lams is None)
     scores, w, converged = paths
-    best = int(jnp.argmin(jnp.mean(scores[:folds], axis=0)))
-    model = solve(problem, grid[best], warm=w[-1, best], linear_algebra=linear_algebra)
-    return CrossValidation(grid[best], grid, scores[:folds], converged[:folds], model)
-
-
-def _widening(lams, scores_of):
-    """While the best score sits on an edge, extend the grid past it, by a quarter of its
-    range (as many values as before: the compiled program is used again)."""
-    paths = scores_of(lams)
-    ratios = (lams[-1] / lams[0]) ** (0.25 * jnp.arange(1, len(lams) + 1) / len(lams))
-    for _ in range(WIDENINGS):
-        means = jnp.mean(paths[0][:-1], axis=0)
-        best = int(jnp.argmin(means))
-        if 0 < best < len(means) - 1:
-            break
-        below = best == 0
-        new = lams[0] / ratios[::-1] if below else lams[-1] * ratios
-        join = lambda old, new: jnp.concatenate(
-            [new, old] if below else [old, new], axis=old.ndim > 1
-        )
-        lams, paths = jax.tree.map(join, (lams, paths), (new, scores_of(new)))
-    return lams, paths
+    model = solve(problem, grid[best], warm=w[0, best], linear_algebra=linear_algebra)
+    return CrossValidation(grid[best], grid, scores, converged, model)
 
 
 @eqx.filter_jit
@@ -193,16 +164,13 @@ def _paths(problem: Problem, training, lams, solvers, max_steps: int, bar):
         start = free_solution(fold, lams[anchor], solvers)
         _, path = jax.lax.scan(step, (start, start), order)
         w, converged = jax.tree.map(lambda a: a[jnp.argsort(order)], path)
-        return jax.vmap(lambda w: _held_out(problem, inside, w))(w), w, converged
+        return jax.vmap(lambda w: _score(problem, inside, w))(w), w, converged
 
     return jax.lax.map(one_fold, training)
 
 
-def _held_out(problem: Problem, inside, w) -> Float[Array, ""]:
-    """Weighted mean geodesic error on the data outside the training set."""
-    jets = problem.data_jets
-    values = jet_values(jets, w)[:, :, 0]
-    error = lambda psi, y: jnp.sqrt(geodesic_loss(problem.target, psi, y))
-    errors = jax.vmap(jax.vmap(error))(values, problem.y[jets.index])
-    held_out = (problem.weights * ~inside)[jets.index] * jets.mask
-    return jnp.sum(held_out * errors) / jnp.sum(held_out)
+def _score(problem: Problem, inside, w) -> Float[Array, ""]:
+    """Held-out error; the last row holds nothing out and scores NaN."""
+    values = values_at_data(problem.data_jets, w, len(problem.y))
+    predicted = problem.target.project(values.reshape(-1, *problem.target.point_shape))
+    return held_out_error(problem.target, predicted, problem.y, problem.weights, inside)

@@ -9,17 +9,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, ScalarLike
 
 from .._checks import check_data, check_x64, is_concrete
+from .._folds import GRID, evaluated, held_out_error, training_sets
 from .._sources import Source
 from ..manifolds import AbstractManifold
 from ._frechet import frechet_mean
 from ._inputs import check_choice, flat_inputs
-from ._validation import (
-    GRID,
-    best_of,
-    held_out_score,
-    training_sets,
-    widened_scores,
-)
 
 BATCH = 64  # means side by side; a batch iterates until its slowest has settled
 # means of far too wide kernels may wander; scores need neither their digits nor the
@@ -95,9 +89,9 @@ def nadaraya_watson(
         _check_bandwidth(bandwidths, "bandwidths")
         grid = jnp.sort(jnp.asarray(bandwidths, float).ravel())
     draft = build(grid[0], grid, jnp.zeros((0, len(grid))))
-    scores_of = lambda grid: _scores(draft, training, grid)
-    grid, scores = widened_scores(grid, scores_of, widen=bandwidths is None)
-    return build(best_of(grid, scores), grid, scores)
+    evaluate = lambda grid: (_scores(draft, training, grid),)
+    grid, (scores,), best = evaluated(grid, evaluate, widen=bandwidths is None)
+    return build(grid[best], grid, scores)
 
 
 def _squared_distances(source: Source, a, b) -> Float[Array, "a b"]:
@@ -149,7 +143,7 @@ def _scores(
 
     def one(bandwidth):
         predicted = _means(model, model.x, bandwidth, usable, **ROUGH)
-        score = lambda fold: held_out_score(
+        score = lambda fold: held_out_error(
             model.target, predicted, model.y, model.weights, fold
         )
         return jax.vmap(score)(training)

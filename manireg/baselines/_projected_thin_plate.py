@@ -9,8 +9,9 @@ import lineax as lx
 from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, ScalarLike
 
 from .._checks import check_lam
+from .._folds import evaluated, held_out_error, training_sets
 from .._hessian import gauss_newton
-from .._jets import jet_values
+from .._jets import values_at_data
 from .._linear_solvers import direct_solvers
 from .._local_polynomials import LocalPolynomials
 from .._objective import Stage, objective
@@ -20,7 +21,6 @@ from .._solve import evaluate, free_problem
 from .._sources import Source
 from ..manifolds import AbstractManifold, Euclidean
 from ._inputs import check_choice, flat_inputs
-from ._validation import best_of, held_out_score, training_sets, widened_scores
 
 
 class ProjectedThinPlate(eqx.Module):
@@ -104,9 +104,9 @@ def projected_thin_plate(
     else:
         check_lam(lams, "lams")
         grid = jnp.sort(jnp.asarray(lams, float).ravel())
-    scores_of = lambda grid: _scores(problem, training, grid, solver)
-    grid, scores = widened_scores(grid, scores_of, widen=lams is None)
-    return build(best_of(grid, scores), grid, scores)
+    evaluate = lambda grid: (_scores(problem, training, grid, solver),)
+    grid, (scores,), best = evaluated(grid, evaluate, widen=lams is None)
+    return build(grid[best], grid, scores)
 
 
 @eqx.filter_jit
@@ -130,20 +130,16 @@ def _scores(
     lams: Float[Array, " lams"],
     solver,
 ) -> Float[Array, "folds lams"]:
-    jets = problem.data_jets
-
     def one(fold, lam):
         w = _spline(
             eqx.tree_at(lambda p: p.weights, problem, problem.weights * fold),
             lam,
             solver,
         )
-        values = jet_values(jets, w)[:, :, 0] * jets.mask[:, :, None]
-        at_data = jnp.zeros_like(problem.y).at[jets.index].add(values)
-        predicted = problem.target.project(
-            at_data.reshape(-1, *problem.target.point_shape)
-        )
-        return held_out_score(
+        values = values_at_data(problem.data_jets, w, len(problem.y))
+        shape = problem.target.point_shape
+        predicted = problem.target.project(values.reshape(-1, *shape))
+        return held_out_error(
             problem.target, predicted, problem.y, problem.weights, fold
         )
 

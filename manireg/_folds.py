@@ -1,0 +1,69 @@
+"""What every cross-validation here shares: folds, score, grids. Ours and the baselines'
+use the same, so that methods are compared by the same rules."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from .manifolds import AbstractManifold
+
+GRID = 20  # values of a default grid
+WIDENINGS = 2  # times it may be extended past an edge
+
+
+def training_sets(
+    k: int, folds: int, key: PRNGKeyArray | None
+) -> Bool[np.ndarray, "folds k"]:
+    """Which data each random fold is fitted to; `folds=k` leaves out one at a time."""
+    if not 2 <= folds <= k:
+        raise ValueError(
+            f"folds: must lie between 2 and the number of data, {k}; found {folds}."
+        )
+    key = jax.random.key(0) if key is None else key
+    fold_of = np.asarray(jax.random.permutation(key, k)) % folds
+    return fold_of[None, :] != np.arange(folds)[:, None]
+
+
+def held_out_error(
+    target: AbstractManifold,
+    predicted: Float[Array, "k t"],
+    y: Float[Array, "k t"],
+    weights: Float[Array, " k"],
+    training: Bool[Array, " k"],
+) -> Float[Array, ""]:
+    """Weighted mean geodesic error of points of N on the data outside `training`. Not
+    squared: one datum in a gap, far off whatever lambda is, must not decide alone."""
+    points = (a.reshape(-1, *target.point_shape) for a in (predicted, y))
+    held_out = weights * ~training
+    errors = jnp.sqrt(target.squared_distance(*points))
+    return jnp.sum(held_out * errors) / jnp.sum(held_out)
+
+
+def evaluated(
+    grid: Float[Array, " n"], evaluate: Callable[[Array], Any], widen: bool
+) -> tuple[Array, Any, int]:
+    """`grid`, `evaluate(grid)` and the index of the best value.
+
+    `evaluate` gives a tuple of arrays `(folds, n, ...)`, scores first. With `widen`, while
+    the best mean score sits on an edge, the grid is extended past it by a quarter of its
+    range (in as many values as before: compiled programs are used again), at most twice.
+    """
+    best_of = lambda results: int(jnp.argmin(jnp.mean(results[0], axis=0)))
+    results = evaluate(grid)
+    ratios = (grid[-1] / grid[0]) ** (0.25 * jnp.arange(1, len(grid) + 1) / len(grid))
+    for _ in range(WIDENINGS if widen else 0):
+        best = best_of(results)
+        if 0 < best < len(grid) - 1:
+            break
+        below = best == 0
+        new = grid[0] / ratios[::-1] if below else grid[-1] * ratios
+        join = lambda old, new, axis: jnp.concatenate(
+            [new, old] if below else [old, new], axis=axis
+        )
+        results = jax.tree.map(lambda a, b: join(a, b, 1), results, evaluate(new))
+        grid = join(grid, new, 0)
+    return grid, results, best_of(results)
