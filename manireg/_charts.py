@@ -113,6 +113,7 @@ def _extent(source, coordinates):
             f"{type(source).__name__} is unbounded as a source: pass `around`, the data "
             "points whose bounding box is to be covered."
         )
+    coordinates = np.asarray(coordinates)
     lower, upper = coordinates.min(axis=0), coordinates.max(axis=0)
     if not np.all(lower < upper):
         raise ValueError(
