@@ -1,0 +1,128 @@
+"""The solver: derivatives, transformations, symmetry, and its two methods."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import pytest
+from scipy.spatial.transform import Rotation
+
+import manireg as mr
+from manireg._hessian import exact, gauss_newton
+from manireg._objective import Stage, objective
+
+LAM = 1e-4
+
+
+@pytest.fixture(scope="module")
+def problem():
+    x = np.sort(np.random.default_rng(0).uniform(size=12))
+    mean = np.stack([np.cos(3 * x), np.sin(3 * x), x**2], axis=1)
+    noise = 0.05 * np.random.default_rng(1).normal(size=(12, 3))
+    y = mr.Sphere(2).project(jnp.asarray(mean + noise))
+    return mr.make_problem(mr.Interval(0, 1), mr.Sphere(2), x, y, centres=15)
+
+
+@pytest.fixture(scope="module")
+def model(problem):
+    return mr.solve(problem, LAM)
+
+
+GRID = jnp.linspace(0.05, 0.95, 7)
+
+
+def predict(problem, lam):
+    return mr.solve(problem, lam)(GRID)
+
+
+@pytest.mark.parametrize("projected", [True, False])
+def test_hessians(problem, projected):
+    w = mr.solve(problem, 1e-2).coefficients
+    w = w + 0.01 * jax.random.normal(jax.random.key(0), w.shape)
+    stage = Stage(problem, LAM, 0.1, projected)
+    dense = jax.jit(jax.hessian(lambda w: objective(w, stage)[0]))(w)
+    dense = dense.reshape(w.size, w.size)
+    sparse = exact(w, stage)
+    scale = float(jnp.max(jnp.abs(dense)))
+    np.testing.assert_allclose(sparse.as_matrix(), dense, atol=1e-13 * scale)
+    product = sparse.mv(w).ravel()
+    np.testing.assert_allclose(product, dense @ w.ravel(), atol=1e-12 * scale)
+    model = gauss_newton(w, stage).as_matrix()
+    assert np.linalg.eigvalsh(model)[0] > -1e-13 * scale
+
+
+def test_vmap_over_lambda_equals_a_loop(problem):
+    lams = jnp.geomspace(1e-6, 1e-2, 4)
+    together = jax.vmap(lambda lam: predict(problem, lam))(lams)
+    apart = jnp.stack([predict(problem, lam) for lam in lams])
+    np.testing.assert_allclose(together, apart, atol=1e-9)
+
+
+def test_derivative_in_lambda(problem):
+    slope = jax.jacfwd(lambda lam: predict(problem, lam))(jnp.asarray(LAM))
+    h = 1e-3 * LAM
+    central = (predict(problem, LAM + h) - predict(problem, LAM - h)) / (2 * h)
+    np.testing.assert_allclose(slope, central, atol=1e-5 * np.abs(central).max())
+
+
+def test_gradient_in_data_and_weights(problem):
+    direction = jax.random.normal(jax.random.key(1), problem.y.shape)
+    direction = mr.Sphere(2).tangent_projection(problem.y, direction)
+    heavier = jax.random.normal(jax.random.key(2), problem.weights.shape)
+    readout = jax.random.normal(jax.random.key(3), (len(GRID), 3))
+
+    def moved(step):
+        y = mr.Sphere(2).exp(problem.y, step * direction)
+        weights = problem.weights + step * heavier
+        both = lambda p: (p.y, p.weights)
+        return jnp.sum(readout * predict(eqx.tree_at(both, problem, (y, weights)), LAM))
+
+    slope = jax.grad(moved)(0.0)
+    central = (moved(1e-4) - moved(-1e-4)) / 2e-4
+    assert abs(slope - central) < 1e-5 * abs(central)
+
+
+def test_jit_and_dense_algebra(problem, model):
+    jitted = eqx.filter_jit(lambda p, lam: mr.solve(p, lam)(GRID))(problem, LAM)
+    np.testing.assert_allclose(jitted, model(GRID), atol=1e-10)
+    dense = mr.solve(problem, LAM, linear_algebra="dense")
+    np.testing.assert_allclose(dense(GRID), model(GRID), atol=1e-9)
+
+
+def test_rotating_the_data_rotates_the_fit(problem, model):
+    turn = Rotation.random(random_state=0).as_matrix()
+    rotated = eqx.tree_at(lambda p: p.y, problem, problem.y @ turn.T)
+    np.testing.assert_allclose(
+        mr.solve(rotated, LAM)(GRID), model(GRID) @ turn.T, atol=1e-6
+    )
+
+
+def test_penalty_path_ends_at_the_projected_minimiser(problem, model):
+    penalty = mr.solve(problem, LAM, method="penalty")
+    assert penalty.energies.off_manifold < 1e-3
+    np.testing.assert_allclose(penalty(GRID), model(GRID), atol=1e-3)
+
+
+def test_lowest_start_wins(problem, model):
+    several = mr.solve(problem, LAM, starts=(1.0, 1e-2, 1e4), warm=model.coefficients)
+    value = lambda m: m.energies.loss + LAM * m.energies.eells
+    assert value(several) <= value(model) * (1 + 1e-9)
+
+
+def test_failure_is_told(problem):
+    stopped = mr.solve(problem, LAM, max_steps=1, throw=False)
+    assert stopped.result != optx.RESULTS.successful
+    with pytest.raises(Exception, match="max"):
+        mr.solve(problem, LAM, max_steps=1)
+
+
+def test_isometry_of_the_sphere_is_found():
+    points = mr.Sphere(2).random_points(jax.random.key(0), 40)
+    turn = Rotation.random(random_state=1).as_matrix()
+    model = mr.fit(
+        mr.Sphere(2), mr.Sphere(2), points, points @ turn.T, 1e-3, centres=30
+    )
+    new = mr.Sphere(2).random_points(jax.random.key(1), 50)
+    np.testing.assert_allclose(model(new), new @ turn.T, atol=1e-6)
+    assert model.energies.eells < 1e-8
