@@ -79,12 +79,12 @@ class SymmetricPositiveDefinite(AbstractManifold):
         self, p: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$(v + v^T)/2$."""
-        return symmetric_part(v)
+        return symmetric_part(jnp.broadcast_arrays(p, v)[1])
 
     def second_fundamental_form(
         self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        return jnp.zeros_like(u)
+        return jnp.zeros_like(jnp.broadcast_arrays(p, u, v)[0])
 
     def squared_distance(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
