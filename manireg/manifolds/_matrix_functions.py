@@ -114,12 +114,16 @@ def _foam(p: Float[Array, "..."]) -> Float[Array, "..."]:
     cofactors = jnp.cross(jnp.roll(p, -1, axis=-2), jnp.roll(p, -2, axis=-2))
     det = jnp.sum(p[..., 0, :] * cofactors[..., 0, :], axis=-1)
     constant = 4 * norm_squared(cofactors, 2)
-    root = jnp.full_like(det, math.sqrt(3.0))  # an upper bound: Newton descends to it
-    for _ in range(30):  # halves the error even where the root is double (medial axis)
+
+    def newton(_, root):
         gap = root**2 - 1.0
         slope = 4 * root * gap - 8 * det
         value = gap**2 - 8 * root * det - constant
-        root = root - value / jnp.where(slope > 0.0, slope, 1.0)
+        return root - value / jnp.where(slope > 0.0, slope, 1.0)
+
+    # From an upper bound Newton descends to the root; 30 steps halve the error 30 times
+    # even where the root is double (medial axis).
+    root = jax.lax.fori_loop(0, 30, newton, jnp.full_like(det, math.sqrt(3.0)))
     kappa = (root**2 - 1.0) / 2
     scale = (kappa * root - det)[..., None, None]
     kappa, root = kappa[..., None, None], root[..., None, None]
