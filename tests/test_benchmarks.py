@@ -1,0 +1,25 @@
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
+
+
+@pytest.mark.slow
+def test_line_on_sphere_resumes(tmp_path):
+    """One small cell in full; a second command finds nothing left to run."""
+    command = [sys.executable, BENCHMARKS / "line_on_sphere.py", "--out", tmp_path]
+    cell = "--conventions polar --ks 20 --kappas 1000 --reps 1".split()
+    file = tmp_path / "line_on_sphere.csv"
+    subprocess.run([*command, *cell], check=True)
+    before = file.read_text()
+    rows = list(csv.DictReader(before.splitlines()))
+    assert len(rows) == 4 and all(0 < float(row["mean_error"]) < 2 for row in rows)
+    table = (tmp_path / "line_on_sphere.md").read_text()
+    assert "| 20 | 1000 |" in table and "**" in table
+    assert (tmp_path / "line_on_sphere_polar.png").stat().st_size > 10_000
+    subprocess.run([*command, *cell], check=True)
+    assert file.read_text() == before
