@@ -1,7 +1,7 @@
 """Bad input, one mistake each: the message says what was found and what to do."""
 
 # wrong types are the point here
-# pyright: reportArgumentType=false
+# pyright: reportArgumentType=false, reportIncompatibleMethodOverride=false
 
 import subprocess
 import sys
