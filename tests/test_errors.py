@@ -233,8 +233,14 @@ class WrongDistance(mr.AbstractManifold):
 
     dim: int = eqx.field(static=True, default=2)
     point_shape: tuple[int, ...] = eqx.field(static=True, default=(3,))
-    reach = property(lambda self: 1.0)
-    injectivity_radius = property(lambda self: np.pi)
+
+    @property
+    def reach(self):
+        return 1.0
+
+    @property
+    def injectivity_radius(self):
+        return np.pi
 
     def project(self, p):
         return SPHERE.project(p)
