@@ -20,6 +20,9 @@ from manireg._objective import Stage, objective
 from manireg._problem import assemble_problem
 from manireg._solve import free_solution
 
+pytestmark = pytest.mark.slow  # minutes of compilation
+
+
 TORUS = mr.FlatTorus(2, jnp.array([1.0, 2.0]))
 ROTATIONS = mr.manifolds.SpecialOrthogonal(3)
 LOGARITHMS = mr.manifolds.SymmetricPositiveDefinite(2)
