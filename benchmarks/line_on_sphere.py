@@ -62,8 +62,7 @@ def main() -> None:
 
     fresh = not path.exists()
     spawn = multiprocessing.get_context("spawn")
-    # workers are renewed now and then: compiled programs take memory
-    pool = spawn.Pool(options.jobs, start_worker, maxtasksperchild=24)
+    pool = spawn.Pool(options.jobs, start_worker)
     bar = tqdm(total=len(tasks), initial=len(tasks) - len(missing), unit="run")
     with path.open("a", newline="") as file, pool, bar:
         writer = csv.DictWriter(file, FIELDS)

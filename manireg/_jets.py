@@ -50,23 +50,32 @@ def second_derivative_pairs(m: int) -> list[tuple[int, int]]:
 def jets_of(
     basis: LocalPolynomials,
     points: Float[Array, "Q s"],
-    frames: Float[Array, "Q s m"] | None = None,
-    second_forms: Float[Array, "Q m m s"] | None = None,
-    points_per_element: int = 16,
+    frames: Float[Array, "Q s m"],
+    second_forms: Float[Array, "Q m m s"],
 ) -> Jets:
-    """Jets of `basis` at `points`: full ones if `frames` (and `second_forms`) are given,
-    else values only. Runs once, on the host."""
-    elements = _elements(basis, np.asarray(points), points_per_element)
-    index, mask, near = (jnp.asarray(a) for a in elements)
-    columns = near[:, :, None] * basis.size + jnp.arange(basis.size)
-    columns = columns.reshape(len(near), -1)
-    if frames is None or second_forms is None:
-        matrices = _value_rows(basis, points[index], near)
-    else:
-        matrices = _jet_rows(
-            basis, points[index], frames[index], second_forms[index], near
-        )
-    return Jets(matrices, columns, index, mask)
+    """Full jets of `basis` at `points`. Runs once, on the host."""
+    index, mask, near = _elements(basis, np.asarray(points), points_per_element=16)
+    matrices = _jet_rows(basis, points[index], frames[index], second_forms[index], near)
+    return Jets(matrices, _columns(basis, near), index, mask)
+
+
+def value_jets(
+    basis: LocalPolynomials, points: Float[Array, "Q s"], energy_jets: Jets
+) -> Jets:
+    """Values only. Shapes depend on the number of points and, as far as possible, on
+    `energy_jets`, not on where the points lie: new data reuse a compiled program."""
+    p = 4
+    elements = min(len(points), (len(points) + (p - 1) * len(basis.centres)) // p)
+    overlap = energy_jets.columns.shape[1] // basis.size
+    least = (elements, p, overlap)
+    index, mask, near = _elements(basis, np.asarray(points), p, least)
+    matrices = _value_rows(basis, points[index], near)
+    return Jets(matrices, _columns(basis, near), index, mask)
+
+
+def _columns(basis: LocalPolynomials, near) -> Int[Array, "e U"]:
+    functions = near[:, :, None] * basis.size + jnp.arange(basis.size)
+    return functions.reshape(len(near), -1)
 
 
 @eqx.filter_jit
@@ -96,8 +105,15 @@ def _jet_rows(basis, points, frames, second_forms, near):
     return jax.lax.map(lambda a: one_element(*a), (points, frames, second_forms, near))
 
 
-def _elements(basis: LocalPolynomials, points: np.ndarray, points_per_element: int):
-    """Group points by their nearest centre, chunk the groups, join their centres."""
+def _elements(
+    basis: LocalPolynomials,
+    points: np.ndarray,
+    points_per_element: int,
+    least: tuple[int, int, int] = (0, 0, 0),
+) -> tuple[Int[Array, "e p"], Float[Array, "e p"], Int[Array, "e L"]]:
+    """Group points by their nearest centre, chunk the groups, join their centres: index,
+    mask and centres of each element. `least` are sizes e, p, L to fill up to; a whole
+    element of padding repeats the first, so that it is a valid place."""
     centres, widths = np.asarray(basis.centres), np.asarray(basis.widths)
     tree = KDTree(points)
     supports = [
@@ -132,15 +148,19 @@ def _elements(basis: LocalPolynomials, points: np.ndarray, points_per_element: i
     for i, inside in enumerate(supports):
         for e in np.unique(element[inside]):
             centres_near[e].append(i)
-    index, inside = _padded(chunks, fill=[chunk[0] for chunk in chunks])
-    near, _ = _padded(centres_near, fill=[-1] * len(chunks))
-    return index, inside.astype(float), near
+    index, inside = _padded(chunks, [chunk[0] for chunk in chunks], least[1])
+    near, _ = _padded(centres_near, [-1] * len(chunks), least[2])
+    more = max(least[0] - len(chunks), 0)
+    mask = np.pad(inside.astype(float), ((0, more), (0, 0)))
+    index, near = (np.concatenate([a, a[:1].repeat(more, 0)]) for a in (index, near))
+    return jnp.asarray(index), jnp.asarray(mask), jnp.asarray(near)
 
 
-def _padded(rows, fill) -> tuple[np.ndarray, np.ndarray]:
+def _padded(rows, fill, least: int) -> tuple[np.ndarray, np.ndarray]:
     """Rows of equal length, each filled up with its `fill`; and what is not filling."""
     lengths = np.array([len(row) for row in rows])
-    inside = np.arange(lengths.max()) < lengths[:, None]
-    table = np.repeat(np.array(fill, dtype=np.int32)[:, None], lengths.max(), axis=1)
+    width = max(lengths.max(), least)
+    inside = np.arange(width) < lengths[:, None]
+    table = np.repeat(np.array(fill, dtype=np.int32)[:, None], width, axis=1)
     table[inside] = np.concatenate(rows)
     return table, inside

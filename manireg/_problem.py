@@ -7,7 +7,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import check_data, check_x64
 from ._domain import Domain, centres_of, discretise
-from ._jets import Jets, jets_of
+from ._jets import Jets, jets_of, value_jets
 from ._local_polynomials import LocalPolynomials, local_polynomials
 from ._sources import Source
 from ._sparse import Scatter, SparsityPattern, sparsity
@@ -104,7 +104,7 @@ def assemble_problem(source, target, basis, domain: Domain, x, y, weights) -> Pr
     if np.any(np.asarray(domain.second_forms)):
         flat = jnp.zeros_like(domain.second_forms)
         free_jets = jets_of(basis, domain.points, domain.frames, flat)
-    data_jets = jets_of(basis, x, points_per_element=4)
+    data_jets = value_jets(basis, x, energy_jets)
     pattern, (energy_scatter, data_scatter) = sparsity(
         [energy_jets.columns, data_jets.columns], len(basis.centres) * basis.size
     )

@@ -23,6 +23,7 @@ class Scatter(eqx.Module):
     take: Int[Array, " kept"]
     """Flat indices of the entries in the upper triangle."""
     into: Int[Array, " kept"]
+    """Index in the pattern; past its end for padding."""
 
 
 class SparseSymmetric(lx.AbstractLinearOperator):
@@ -88,13 +89,16 @@ def sparsity(families_of_columns: list[Int[Array, "e U"]], size: int):
     padding). Returns the pattern and a `Scatter` for each family. Host."""
     families = []
     for columns in families_of_columns:
-        columns = np.asarray(columns, dtype=np.int64)
-        keys = columns[:, :, None] * size + columns[:, None, :]
-        keep = (columns >= 0)[:, :, None] & (columns[:, :, None] <= columns[:, None, :])
-        take = np.flatnonzero(keep)
-        families.append((take, keys.ravel()[take]))
+        columns = np.asarray(columns, dtype=np.int64)  # ascending, padding last
+        e, U = columns.shape
+        i, j = np.triu_indices(U)
+        keys = columns[:, i] * size + columns[:, j]
+        keys[columns[:, j] < 0] = size**2
+        take = np.arange(e)[:, None] * U**2 + i * U + j
+        families.append((take.ravel(), keys.ravel()))
     diagonal = np.arange(size) * (size + 1)
     entries = np.unique(np.concatenate([*(keys for _, keys in families), diagonal]))
+    entries = entries[entries < size**2]
     rows, cols = (jnp.asarray(a, dtype=jnp.int32) for a in np.divmod(entries, size))
     scatters = []
     for take, keys in families:
@@ -117,4 +121,5 @@ def scatter_add(
     """Add element matrices to the blocks of a pattern."""
     t = elements.shape[-1]
     flat = elements.transpose(0, 1, 3, 2, 4).reshape(-1, t, t)
-    return blocks.at[scatter.into].add(flat[scatter.take], indices_are_sorted=True)
+    added = blocks.at[scatter.into]
+    return added.add(flat[scatter.take], indices_are_sorted=True, mode="drop")

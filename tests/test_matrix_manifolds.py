@@ -21,7 +21,6 @@ from manireg.manifolds import (
     SymmetricPositiveDefinite,
 )
 
-pytestmark = pytest.mark.slow  # minutes of compilation
 
 
 MANIFOLDS = {
@@ -37,17 +36,19 @@ MANIFOLDS = {
     "shapes(4)": PlanarShapes(4),
     "SPD(3)": SymmetricPositiveDefinite(3),
 }
-CURVED = {name: m for name, m in MANIFOLDS.items() if name != "SPD(3)"}
-every = pytest.mark.parametrize("manifold", MANIFOLDS.values(), ids=MANIFOLDS.keys())
-# `shooting_log` compiles slowly: four columns of frames run with `pytest -m slow`
-distances = pytest.mark.parametrize(
-    "manifold",
-    [
-        pytest.param(m, id=name, marks=pytest.mark.slow if name == "St(5,4)" else ())
-        for name, m in MANIFOLDS.items()
-    ],
-)
-curved = pytest.mark.parametrize("manifold", CURVED.values(), ids=CURVED.keys())
+FAST = ("SO(3)", "Gr(5,2)", "shapes(4)", "SPD(3)")  # the others: `pytest -m slow`
+
+
+def over(manifolds):
+    params = [
+        pytest.param(m, id=name, marks=() if name in FAST else pytest.mark.slow)
+        for name, m in manifolds.items()
+    ]
+    return pytest.mark.parametrize("manifold", params)
+
+
+every = over(MANIFOLDS)
+curved = over({name: m for name, m in MANIFOLDS.items() if name != "SPD(3)"})
 at_point = pytest.mark.parametrize("offset", [0.0, 0.3], ids=["on", "off"])
 
 
@@ -285,7 +286,7 @@ def test_geodesics_keep_their_speed_and_turn_only_with_the_manifold(manifold, ke
             assert np.abs(acceleration).max() > 0.1
 
 
-@distances
+@every
 def test_log_inverts_exp_below_the_injectivity_radius(manifold, key):
     keys = jax.random.split(key)
     fraction = np.array([0.0, 1e-3, 0.5, 0.95]).reshape(-1, *[1] * len(_axes(manifold)))
@@ -371,7 +372,7 @@ def test_one_frame_vector_is_the_sphere(key):
     )
 
 
-@distances
+@every
 def test_two_derivatives_of_the_squared_distance(manifold, key):
     keys = jax.random.split(key, 3)
     p = manifold.random_points(keys[0], 1)[0]
@@ -391,7 +392,7 @@ def test_two_derivatives_of_the_squared_distance(manifold, key):
     np.testing.assert_allclose(jnp.sum(second * u), derivative(line, 2), atol=1e-5)
 
 
-@distances
+@every
 def test_hessian_of_the_loss_at_coincidence_is_twice_the_metric(manifold, key):
     p = manifold.random_points(key, 2)
 
