@@ -21,8 +21,6 @@ from manireg.manifolds import (
     SymmetricPositiveDefinite,
 )
 
-
-
 MANIFOLDS = {
     "SO(2)": SpecialOrthogonal(2),
     "SO(3)": SpecialOrthogonal(3),
