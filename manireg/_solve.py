@@ -23,7 +23,7 @@ from .manifolds import AbstractManifold, Euclidean
 
 GAUGE = 0.1  # gamma vol(M) of the projected energy: holds Psi near N, costs 1e-4 of E
 STARTS = (1.0, 1e-2)
-FLOOR = 1e-20  # of mean |y|^2: an objective below it is rounding, a perfect fit
+FLOOR = 1e-14  # of mean |y|^2: a smaller decrease is rounding (perfect fits)
 
 Method = Literal["projected", "penalty"]
 
