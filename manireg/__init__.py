@@ -22,7 +22,7 @@ from ._selection import (
     lambda_grid as lambda_grid,
 )
 from ._solve import RegressionMap as RegressionMap, solve as solve
-from ._sources import Box as Box, Interval as Interval
+from ._sources import Ambient as Ambient, Box as Box, Interval as Interval
 from .manifolds import (
     AbstractManifold as AbstractManifold,
     Cylinder as Cylinder,
@@ -32,6 +32,7 @@ from .manifolds import (
     Grassmann as Grassmann,
     LevelSet as LevelSet,
     PlanarShapes as PlanarShapes,
+    PointCloud as PointCloud,
     Product as Product,
     SpecialOrthogonal as SpecialOrthogonal,
     Sphere as Sphere,

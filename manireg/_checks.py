@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from ._sources import Box, Interval, Source
-from .manifolds import AbstractManifold
+from ._sources import Ambient, Box, Interval, Source
+from .manifolds import AbstractManifold, PointCloud
 
 ON_MANIFOLD = 1e-6  # allowed distance of data to a manifold, relative to their size
 
@@ -101,6 +101,8 @@ def check_lam(lam, name="lam"):
 
 
 def _check_on(name, space, points):
+    if isinstance(space, Ambient):
+        space = space.manifold
     if isinstance(space, Box | Interval):
         lower, upper = space.bounds
         slack = 1e-9 * (upper - lower)
@@ -112,7 +114,7 @@ def _check_on(name, space, points):
         gap = np.asarray(space.project(jnp.asarray(points))) - points
         distance = np.linalg.norm(gap.reshape(len(points), -1), axis=1)
         size = np.sqrt(np.mean(np.sum(points.reshape(len(points), -1) ** 2, axis=1)))
-        outside = ~(distance <= ON_MANIFOLD * max(size, 1e-300))
+        outside = ~(distance <= _tolerance(space, max(size, 1e-300)))
         where, cure = "off", f"normalise them, e.g. with {name} = M.project({name})"
         worst = f", up to {np.nanmax(distance):.2g} away" if outside.any() else ""
     if outside.any():
@@ -121,6 +123,13 @@ def _check_on(name, space, points):
             f"{_describe(space)} (first at index {np.flatnonzero(outside)[0]}{worst}); "
             f"{cure}."
         )
+
+
+def _tolerance(space, size):
+    """A point cloud is known as well as its points are dense."""
+    if isinstance(space, PointCloud):
+        return 0.5 * float(np.median(space.areas)) ** (1 / space.dim)
+    return ON_MANIFOLD * size
 
 
 def _describe(space) -> str:

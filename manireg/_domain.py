@@ -17,8 +17,8 @@ from scipy.stats import qmc
 
 from ._charts import Chart, chart_of
 from ._frames import tangent_frames
-from ._sources import Source
-from .manifolds import AbstractManifold, Product, Sphere
+from ._sources import Ambient, Source
+from .manifolds import AbstractManifold, PointCloud, Product, Sphere
 
 
 class Domain(eqx.Module):
@@ -60,6 +60,10 @@ def centres_of(source: Source, n: int, around=None) -> Domain:
         return _grid(source, chart, axes)
     if isinstance(source, Product):
         return _product_domain(source, n, around, centres_of)
+    if isinstance(source, Ambient):
+        return _ambient(centres_of(source.manifold, n, around))
+    if isinstance(source, PointCloud):
+        return _of_cloud(source, n, around)
     return _quasi_uniform(source, n, with_weights=False)
 
 
@@ -74,10 +78,12 @@ def discretise(source: Source, n: int, around=None) -> Domain:
     - `around`: data points (flattened). Unbounded sources (Euclidean space, cylinder,
       SPD matrices) are cut to the box that holds them, which is then required.
 
-    Sources with a global chart use composite Gauss-Legendre rules (trapezoid rule along
-    periodic coordinates), S^2 the Fibonacci lattice, products the product rule. Every
-    other manifold takes farthest points of a cloud of `random_points`, weighted by the
-    volume of their Voronoi cells, measured in the tangent space.
+    Point clouds give points of theirs and share out the areas; `Ambient` takes over what
+    its manifold gives. Sources with a global chart use composite Gauss-Legendre rules
+    (trapezoid rule along periodic coordinates), S^2 the Fibonacci lattice, products the
+    product rule. Every other manifold takes farthest points of a cloud of
+    `random_points`, weighted by the volume of their Voronoi cells, measured in the tangent
+    space.
     """
     per_axis = _NODES_PER_SPACING.get(source.dim, 3)
     chart = chart_of(source, around)
@@ -98,6 +104,10 @@ def discretise(source: Source, n: int, around=None) -> Domain:
         return _grid(source, chart, axes)
     if isinstance(source, Product):
         return _product_domain(source, n, around, discretise)
+    if isinstance(source, Ambient):
+        return _ambient(discretise(source.manifold, n, around))
+    if isinstance(source, PointCloud):
+        return _of_cloud(source, n * per_axis**source.dim, None)
     return _quasi_uniform(source, n * per_axis**source.dim, with_weights=True)
 
 
@@ -176,6 +186,26 @@ def _quasi_uniform(source: Source, n: int, with_weights: bool) -> Domain:
     return with_second_forms(source, points, frames, weights)
 
 
+def _of_cloud(source: PointCloud, n: int, around) -> Domain:
+    """`n` points of the cloud, farthest points from those next to `around`; the area of
+    every point of the cloud goes to the nearest of them."""
+    cloud = np.asarray(source.points)
+    first = [] if around is None else np.asarray(source.nearest(jnp.asarray(around)))
+    index = farthest_indices(cloud, min(n, len(cloud)), first)
+    nearest = KDTree(cloud[index]).query(cloud)[1]
+    weights = np.bincount(nearest, np.asarray(source.areas), minlength=len(index))
+    points = source.points[index]
+    frames = tangent_frames(source, points)
+    return with_second_forms(source, points, frames, weights)
+
+
+def _ambient(domain: Domain) -> Domain:
+    """The same points and weights, all directions, no curvature."""
+    Q, s, _ = domain.frames.shape
+    frames = jnp.broadcast_to(jnp.eye(s), (Q, s, s))
+    return Domain(domain.points, frames, jnp.zeros((Q, s, s, s)), domain.weights)
+
+
 def _fibonacci(n: int) -> np.ndarray:
     i = np.arange(n) + 0.5
     z, longitude = 1 - 2 * i / n, np.pi * (1 + 5**0.5) * i
@@ -185,13 +215,20 @@ def _fibonacci(n: int) -> np.ndarray:
 
 def farthest_points(cloud: np.ndarray, n: int) -> np.ndarray:
     """`n` points of `cloud`, each the farthest from those before it."""
-    chosen = np.zeros(n, dtype=int)
+    return cloud[farthest_indices(cloud, n)]
+
+
+def farthest_indices(cloud: np.ndarray, n: int, first=()) -> np.ndarray:
+    """Indices of the distinct points `first` (default: point 0) and then, up to `n`, of
+    the points of `cloud` that are farthest from all before."""
+    first = np.unique(np.asarray(first, dtype=int)) if len(first) else np.zeros(1, int)
+    chosen = np.append(first, np.zeros(max(0, n - len(first)), dtype=int))
     distance = np.full(len(cloud), np.inf)
-    for i in range(1, n):
-        step = np.sum((cloud - cloud[chosen[i - 1]]) ** 2, axis=1)
-        distance = np.minimum(distance, step)
-        chosen[i] = np.argmax(distance)
-    return cloud[chosen]
+    for i, new in enumerate(chosen):
+        if i >= len(first):
+            chosen[i] = new = np.argmax(distance)
+        distance = np.minimum(distance, np.sum((cloud - cloud[new]) ** 2, axis=1))
+    return chosen
 
 
 def _voronoi_volumes(source, points, frames) -> np.ndarray:

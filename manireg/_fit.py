@@ -20,7 +20,7 @@ def fit(
     *,
     weights: ArrayLike | None = None,
     centres: int | None = None,
-    degree: int = 2,
+    degree: int | None = None,
     width: float | None = None,
     **options,
 ) -> RegressionMap:

@@ -13,60 +13,60 @@ from jaxtyping import Array, Float
 
 from ._densities import geodesic_loss, off_manifold_residual, project_flat
 from ._jets import Jets, jet_values
-from ._objective import Stage, data_weights, energy_residual
+from ._objective import (
+    Stage,
+    at_data,
+    at_quadrature,
+    data_weights,
+    energy_residual,
+)
 from ._sparse import Scatter, SparseSymmetric, scatter_add
 
 
 def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
     """The loss contributes 2 Dpi^T Dpi: exact for a perfect fit, and where N is positively
     curved never below the true Hessian."""
-    target = stage.problem.target
 
-    def residuals(jet):
-        energy = jnp.sqrt(stage.lam) * energy_residual(stage, jet)
+    def residuals(target, jet):
+        energy = jnp.sqrt(stage.lam) * energy_residual(stage, target, jet)
         off = jnp.sqrt(stage.gamma) * off_manifold_residual(target, jet[0])
         return jnp.concatenate([energy.ravel(), off])
 
     def gram(f, jets):
-        factor = _derivatives(_pointwise(f), jets)
+        factor = _derivatives(f, jets)
         return 2.0 * jnp.einsum("aepr,bepr->epab", factor, factor)
 
+    landed = lambda target, jet: project_flat(target, jet[0])
     energy, data = stage.problem.energy_jets, stage.problem.data_jets
     return _assemble(
         stage,
-        gram(residuals, jet_values(energy, w)),
-        gram(lambda jet: project_flat(target, jet[0]), jet_values(data, w)),
+        gram(lambda j: at_quadrature(stage, residuals, j), jet_values(energy, w)),
+        gram(lambda j: at_data(stage, landed, j), jet_values(data, w)),
     )
 
 
 def exact(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
     """May be indefinite, away from a minimum: not for Cholesky."""
-    problem = stage.problem
 
-    def density(jet):
-        off = off_manifold_residual(problem.target, jet[0])
-        energy = energy_residual(stage, jet)
+    def density(target, jet):
+        off = off_manifold_residual(target, jet[0])
+        energy = energy_residual(stage, target, jet)
         return stage.lam * jnp.sum(energy**2) + stage.gamma * jnp.sum(off**2)
 
-    def total_loss(jets):
-        y = problem.y[problem.data_jets.index]
-        loss = lambda psi, y: geodesic_loss(problem.target, psi, y)
-        return jnp.sum(jax.vmap(jax.vmap(loss))(jets[:, :, 0], y))
+    def loss(target, jet, y):
+        return geodesic_loss(target, jet[0], y)
 
-    def hessian(total, jets):
-        columns = _derivatives(jax.grad(total), jets)
+    def hessian(values, jets):
+        columns = _derivatives(jax.grad(lambda jets: jnp.sum(values(jets))), jets)
         return jnp.moveaxis(columns.reshape(*columns.shape[:3], -1), 0, 2)
 
-    energy, data = problem.energy_jets, problem.data_jets
+    energy, data = stage.problem.energy_jets, stage.problem.data_jets
+    y = stage.problem.y[data.index]
     return _assemble(
         stage,
-        hessian(lambda j: jnp.sum(_pointwise(density)(j)), jet_values(energy, w)),
-        hessian(total_loss, jet_values(data, w)),
+        hessian(lambda j: at_quadrature(stage, density, j), jet_values(energy, w)),
+        hessian(lambda j: at_data(stage, loss, j, y), jet_values(data, w)),
     )
-
-
-def _pointwise(f):
-    return jax.vmap(jax.vmap(f))
 
 
 def _derivatives(f, jets: Float[Array, "e p J t"]) -> Float[Array, "Jt e p ..."]:

@@ -7,6 +7,9 @@ A_q, B_i are the jets (fixed, sparse, linear); phi and the loss are the pointwis
 densities. Value, gradient (autodiff) and Hessian (`_hessian`) all read from here.
 """
 
+import functools
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,7 +22,9 @@ from ._densities import (
     projected_residual,
 )
 from ._jets import jet_values
+from ._local_target import LocalTarget
 from ._problem import Problem
+from .manifolds import AbstractManifold
 
 
 class Stage(eqx.Module):
@@ -30,6 +35,8 @@ class Stage(eqx.Module):
     gamma: ScalarLike
     projected: bool = eqx.field(static=True)
     """Energy of pi o Psi (True) or of Psi near N (False)."""
+    local: LocalTarget | None = None
+    """What a point cloud is near the map; None: the target itself, everywhere."""
 
 
 class Energies(eqx.Module):
@@ -43,9 +50,28 @@ class Energies(eqx.Module):
     """Largest distance of Psi to N, before the final projection."""
 
 
-def energy_residual(stage: Stage, jet: Float[Array, "J t"]) -> Float[Array, "r t"]:
+def energy_residual(
+    stage: Stage, target: AbstractManifold, jet: Float[Array, "J t"]
+) -> Float[Array, "r t"]:
     residual = projected_residual if stage.projected else penalised_residual
-    return residual(stage.problem.target, jet, stage.problem.basis.dim)
+    return residual(target, jet, stage.problem.basis.dim)
+
+
+def at_quadrature(stage: Stage, f: Callable, *arrays: Float[Array, "e p ..."]):
+    """`f(target, *arrays)` at every quadrature point."""
+    return _at_points(stage, f, stage.local and stage.local.at_quadrature, arrays)
+
+
+def at_data(stage: Stage, f: Callable, *arrays: Float[Array, "e p ..."]):
+    """`f(target, *arrays)` at every datum."""
+    return _at_points(stage, f, stage.local and stage.local.at_data, arrays)
+
+
+def _at_points(stage, f, targets, arrays):
+    if targets is None:
+        f = functools.partial(f, stage.problem.target)
+        return jax.vmap(jax.vmap(f))(*arrays)
+    return jax.vmap(jax.vmap(f))(targets, *arrays)
 
 
 def data_weights(problem: Problem) -> Float[Array, "e p"]:
@@ -59,18 +85,16 @@ def objective(
 ) -> tuple[Float[Array, ""], Energies]:
     problem = stage.problem
     jets = jet_values(problem.energy_jets, w)
-    residuals = jax.vmap(jax.vmap(lambda jet: energy_residual(stage, jet)))(jets)
+    residuals = at_quadrature(stage, functools.partial(energy_residual, stage), jets)
     eells = jnp.sum(problem.energy_weights * jnp.sum(residuals**2, axis=(2, 3)))
 
-    displacement = lambda psi: off_manifold_residual(problem.target, psi)
-    gaps = jnp.sum(jax.vmap(jax.vmap(displacement))(jets[:, :, 0]) ** 2, axis=2)
+    displacement = at_quadrature(stage, off_manifold_residual, jets[:, :, 0])
+    gaps = jnp.sum(displacement**2, axis=2)
     penalty = jnp.sum(problem.energy_weights * gaps)
 
     values = jet_values(problem.data_jets, w)[:, :, 0]
-    losses = jax.vmap(jax.vmap(lambda psi, y: geodesic_loss(problem.target, psi, y)))(
-        values, problem.y[problem.data_jets.index]
-    )
-    loss = jnp.sum(data_weights(problem) * losses)
+    y = problem.y[problem.data_jets.index]
+    loss = jnp.sum(data_weights(problem) * at_data(stage, geodesic_loss, values, y))
 
     off_manifold = jnp.sqrt(jnp.max(gaps * problem.energy_jets.mask))
     total = loss + stage.lam * eells + stage.gamma * penalty

@@ -9,7 +9,7 @@ from ._checks import check_data, check_x64
 from ._domain import Domain, centres_of, discretise
 from ._jets import Jets, jets_of, value_jets
 from ._local_polynomials import LocalPolynomials, local_polynomials
-from ._sources import Source
+from ._sources import Ambient, Source, sampled_dim
 from ._sparse import Scatter, SparsityPattern, sparsity
 from .manifolds import AbstractManifold
 
@@ -52,7 +52,7 @@ def make_problem(
     *,
     weights: ArrayLike | None = None,
     centres: int | None = None,
-    degree: int = 2,
+    degree: int | None = None,
     width: float | None = None,
 ) -> Problem:
     r"""Discretise the regression of y on x.
@@ -70,8 +70,8 @@ def make_problem(
     - `centres`: about how many local polynomials; default k within 30..100 on curves,
       50..400 on surfaces, 60..400 above. More resolve finer detail; the cost grows with
       them.
-    - `degree`: of the local polynomials (default 2; at least 2, else the energy
-      vanishes).
+    - `degree`: of the local polynomials, at least 1; default 2, on `Ambient` sources 1
+      (linear in all directions).
     - `width`: support radius of a local polynomial in units of the spacing
       $(\mathrm{vol}(M)/K)^{1/m}$; default 2.5 on curves, 2.2 above.
 
@@ -80,19 +80,22 @@ def make_problem(
     """
     check_x64()
     x, y, weights = check_data(source, target, x, y, weights)
-    if degree < 2:
+    m = sampled_dim(source)
+    if degree is None:
+        degree = 1 if isinstance(source, Ambient) else 2
+    if degree < 1:
         raise ValueError(
-            f"degree: must be at least 2, found {degree}: the energy is made of second "
-            "derivatives."
+            f"degree: must be at least 1, found {degree}: affine maps have to cost "
+            "nothing."
         )
     if centres is None:
-        low, high = {1: (30, 100), 2: (50, 400)}.get(source.dim, (60, 400))
+        low, high = {1: (30, 100), 2: (50, 400)}.get(m, (60, 400))
         centres = int(np.clip(len(x), low, high))
     if width is None:
-        width = 2.5 if source.dim == 1 else 2.2
+        width = 2.5 if m == 1 else 2.2
     domain = discretise(source, centres, x)
     nodes = centres_of(source, centres, x)
-    spacing = (jnp.sum(domain.weights) / len(nodes.points)) ** (1 / source.dim)
+    spacing = (jnp.sum(domain.weights) / len(nodes.points)) ** (1 / m)
     basis = local_polynomials(nodes, width * spacing, degree)
     return assemble_problem(source, target, basis, domain, x, y, weights)
 

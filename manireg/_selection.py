@@ -13,16 +13,11 @@ from ._checks import check_lam
 from ._folds import GRID, evaluated, held_out_error, training_sets
 from ._jets import values_at_data
 from ._linear_solvers import direct_solvers
+from ._minimise import minimise, newton_minimiser
 from ._problem import Problem, make_problem
 from ._progress import progress_bar, tick
-from ._solve import (
-    RegressionMap,
-    free_solution,
-    minimise,
-    newton_minimiser,
-    solve,
-)
-from ._sources import Source
+from ._solve import RegressionMap, free_solution, solve
+from ._sources import Source, sampled_dim
 from .manifolds import AbstractManifold
 
 COARSE = 1e-6  # relative decrease at which the fits of the folds stop
@@ -54,14 +49,14 @@ def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
     A perturbation of wavelength l adds to loss and penalty alike at that lambda, whatever
     the scale of the target. Below the spacing the data say nothing.
     """
-    size = problem.volume ** (1 / problem.basis.dim)
+    size = problem.volume ** (1 / sampled_dim(problem.source))
     low = jnp.log(_lambda_of_wavelength(problem, _spacing(problem)))
     high = jnp.log(_lambda_of_wavelength(problem, 2 * size))
     return jnp.exp(jnp.linspace(low, high, n))
 
 
 def _spacing(problem: Problem):
-    return (problem.volume / len(problem.y)) ** (1 / problem.basis.dim)
+    return (problem.volume / len(problem.y)) ** (1 / sampled_dim(problem.source))
 
 
 def _lambda_of_wavelength(problem: Problem, wavelength):
@@ -79,7 +74,7 @@ def cross_validate(
     key: PRNGKeyArray | None = None,
     weights: ArrayLike | None = None,
     centres: int | None = None,
-    degree: int = 2,
+    degree: int | None = None,
     width: float | None = None,
     linear_algebra: str = "auto",
     max_steps: int = 25,

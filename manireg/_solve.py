@@ -1,7 +1,7 @@
 """From a problem and a lambda to a fitted map: starts, Newton, implicit derivatives."""
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,21 +11,16 @@ import optimistix as optx
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from ._checks import check_lam, check_points, is_concrete
-from ._continuation import penalty_path
 from ._hessian import exact, gauss_newton
 from ._linear_solvers import DirectSolvers, direct_solvers
 from ._local_polynomials import LocalPolynomials, basis_values, cover
-from ._newton import Newton
+from ._minimise import Method, minimise, newton_minimiser, stage_of
 from ._objective import Energies, Stage, objective
 from ._problem import Problem
 from ._sources import Source
 from .manifolds import AbstractManifold, Euclidean
 
-GAUGE = 0.1  # gamma vol(M) of the projected energy: holds Psi near N, costs 1e-4 of E
 STARTS = (1.0, 1e-2)
-FLOOR = 1e-14  # of mean |y|^2: a smaller decrease is rounding (perfect fits)
-
-Method = Literal["projected", "penalty"]
 
 
 class RegressionMap(eqx.Module):
@@ -149,22 +144,11 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     candidates = jax.lax.map(run, jnp.stack(free + ([] if warm is None else [warm])))
     best = jnp.argmin(jnp.nan_to_num(candidates[2], nan=jnp.inf))
     w, gamma, _, result, stats = jax.tree.map(lambda a: a[best], candidates)
-    stage = Stage(problem, lam, gamma, method == "projected")
+    stage = stage_of(problem, lam, gamma, method, jax.lax.stop_gradient(w))
     w = _implicit(stage, w, solvers)
     _, energies = objective(w, stage)
     return RegressionMap(
         problem.source, problem.target, problem.basis, w, lam, energies, result, stats
-    )
-
-
-def newton_minimiser(solvers: DirectSolvers, rtol: float) -> Newton:
-    return Newton(
-        rtol=rtol,
-        atol=0.0,
-        model_hessian=gauss_newton,
-        exact_hessian=exact,
-        model_descent=optx.NewtonDescent(linear_solver=solvers.positive),
-        exact_descent=optx.NewtonDescent(linear_solver=solvers.indefinite),
     )
 
 
@@ -184,20 +168,6 @@ def free_problem(problem: Problem) -> Problem:
     where = lambda p: (p.target, p.energy_jets)
     ambient = Euclidean(problem.y.shape[1])
     return eqx.tree_at(where, problem, (ambient, problem.free_jets))
-
-
-def minimise(problem, lam, w0, method: Method, newton: Newton, max_steps: int):
-    """From start coefficients to `(w, gamma, objective, result, stats)`."""
-    floor = FLOOR * jnp.mean(jnp.sum(problem.y**2, axis=1))
-    newton = eqx.tree_at(lambda n: n.atol, newton, newton.atol + floor)
-    if method == "penalty":
-        return penalty_path(problem, lam, w0, newton, max_steps)
-    stage = Stage(problem, lam, GAUGE / problem.volume, True)
-    solution = optx.minimise(
-        objective, newton, w0, stage, has_aux=True, max_steps=max_steps, throw=False
-    )
-    total, _ = objective(solution.value, stage)
-    return solution.value, stage.gamma, total, solution.result, solution.stats
 
 
 @eqx.filter_custom_jvp

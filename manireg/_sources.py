@@ -1,4 +1,7 @@
-"""Flat sources: intervals and boxes. Every manifold is a source too."""
+"""Flat sources: intervals, boxes, the neighbourhood of a surface. Every manifold is a
+source too."""
+
+import math
 
 import equinox as eqx
 import numpy as np
@@ -59,7 +62,31 @@ class Interval(eqx.Module):
         return np.array([self.a]), np.array([self.b])
 
 
-Source = AbstractManifold | Box | Interval
+class Ambient(eqx.Module):
+    r"""The neighbourhood of a manifold in its ambient space $\mathbb{R}^s$ as a source:
+    energies are integrals over the manifold of *ambient* second derivatives, all s
+    directions of them. Stiffer than the manifold itself: bending of it costs, too.
+
+    **Arguments:** `manifold`, any manifold. Points are points of it.
+    """
+
+    manifold: AbstractManifold
+
+    @property
+    def dim(self) -> int:
+        return math.prod(self.manifold.point_shape)
+
+    @property
+    def point_shape(self) -> tuple[int, ...]:
+        return self.manifold.point_shape
+
+
+Source = AbstractManifold | Ambient | Box | Interval
+
+
+def sampled_dim(source: Source) -> int:
+    """Dimension of the set that is integrated over."""
+    return source.manifold.dim if isinstance(source, Ambient) else source.dim
 
 
 def _floats(values) -> tuple[float, ...]:

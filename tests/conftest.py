@@ -1,7 +1,11 @@
+import os
+
 import jax
 import matplotlib
 import pytest
 
+# most of a test is compilation: leave out XLA's optimisation (read when JAX first runs)
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 jax.config.update("jax_enable_x64", True)
 matplotlib.use("Agg")
 

@@ -202,6 +202,7 @@ def test_frechet_mean_finds_the_lowest_of_several_minima(rng):
 # Hard constraint
 
 
+@pytest.mark.slow
 def test_hard_constraint_and_eells_agree(curve):
     """Two discretisations and two solvers of one problem; second order in the step."""
     x, y = curve
@@ -226,6 +227,7 @@ def test_hard_constraint_into_the_line_is_the_smoothing_spline(scalars):
     np.testing.assert_allclose(model(x)[:, 0], theirs, atol=2e-5)
 
 
+@pytest.mark.slow
 def test_hard_constraint_on_a_box(rng):
     """Against the thin plate; affine maps are exact."""
     source = mr.Box([0, 0], [1, 2])

@@ -98,7 +98,9 @@ def test_lat_lon_and_input_file(fit, tmp_path):
     )
 
 
-@pytest.mark.parametrize("form", ["quaternion", "matrix"])
+@pytest.mark.parametrize(
+    "form", [pytest.param("quaternion", marks=pytest.mark.slow), "matrix"]
+)
 def test_rotations(fit, tmp_path, form):
     turns = Rotation.from_rotvec(np.outer(T, [1.0, 2.0, -1.0]))
     if form == "quaternion":
@@ -135,6 +137,7 @@ def test_circle_across_the_cut(fit, tmp_path):
     assert "wind" in (tmp_path / "fit.svg").read_text()
 
 
+@pytest.mark.slow
 def test_euclidean_plane_from_a_box(fit, tmp_path):
     rng = np.random.default_rng(0)
     u, v = rng.uniform([[-1], [2]], [[1], [5]], (2, 60))

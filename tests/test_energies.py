@@ -11,11 +11,9 @@ from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
 import manireg as mr
+from manireg._linear_solvers import direct_solvers
 from manireg._objective import Stage, objective
-from manireg._solve import direct_solvers, free_solution
-
-pytestmark = pytest.mark.slow  # minutes of compilation
-
+from manireg._solve import free_solution
 
 UNIT = mr.Interval(0, 1)
 SPHERE = mr.Sphere(2)
@@ -282,6 +280,7 @@ def observed_orders(source, target, map, points, centres, width, truth):
     return np.diff(np.log(errors)) / np.diff(np.log(spacing)), errors[-1]
 
 
+@pytest.mark.slow
 def test_energy_of_a_curve_through_the_basis_converges():
     map = small_circle(jnp.pi / 4, 2 * jnp.pi)
     points = lambda count: np.linspace(0, 1, 12 * count)

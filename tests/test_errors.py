@@ -100,10 +100,8 @@ def test_weights(weights, message):
 
 
 def test_degree():
-    with pytest.raises(
-        ValueError, match="degree: must be at least 2, found 1: the ener"
-    ):
-        problem(degree=1)
+    with pytest.raises(ValueError, match="degree: must be at least 1, found 0: aff"):
+        problem(degree=0)
 
 
 def test_width():

@@ -192,6 +192,7 @@ def test_closest_point_of_the_ellipsoid_against_scipy(scale):
     np.testing.assert_allclose(np.sum((found / AXES) ** 2), 1.0, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_level_set_agrees_with_closed_formulas(key):
     def torus_equation(p):
         return (jnp.linalg.norm(p[:2]) - 2.0) ** 2 + p[2] ** 2 - 0.64

@@ -20,9 +20,6 @@ from manireg._objective import Stage, objective
 from manireg._problem import assemble_problem
 from manireg._solve import free_solution
 
-pytestmark = pytest.mark.slow  # minutes of compilation
-
-
 TORUS = mr.FlatTorus(2, jnp.array([1.0, 2.0]))
 ROTATIONS = mr.manifolds.SpecialOrthogonal(3)
 LOGARITHMS = mr.manifolds.SymmetricPositiveDefinite(2)
@@ -52,7 +49,7 @@ def symmetric_logarithms(y):
     ("target", "points_of"),
     [
         (mr.Euclidean(2), in_the_plane),
-        (mr.Cylinder(1.5), on_the_cylinder),
+        pytest.param(mr.Cylinder(1.5), on_the_cylinder, marks=pytest.mark.slow),
         pytest.param(TORUS, on_the_flat_torus, marks=pytest.mark.slow),
         pytest.param(LOGARITHMS, symmetric_logarithms, marks=pytest.mark.slow),
     ],
@@ -88,6 +85,7 @@ def rotation_fit():
     return y, mr.solve(curve_problem(ROTATIONS, y), 3e-3)(TIMES)
 
 
+@pytest.mark.slow
 def test_rotation_curve_is_a_riemannian_cubic_of_quaternions(rotation_fit):
     """SO(3) is S^3 / {+-1} with a metric 8 times as large, so both have one minimiser."""
     expected = smoothing_cubic(X, sphere_data(3), 3e-3, TIMES)
@@ -95,6 +93,7 @@ def test_rotation_curve_is_a_riemannian_cubic_of_quaternions(rotation_fit):
     assert np.abs(rotation_fit[1] - expected).max() < 1e-6 * np.ptp(expected)
 
 
+@pytest.mark.slow
 def test_turned_rotations_give_a_turned_curve(rotation_fit):
     """R -> A R B is an isometry of SO(3)."""
     y, fitted = rotation_fit
@@ -112,6 +111,7 @@ def test_large_lambda_is_geodesic_regression(sphere_problem):
     assert gaps[0] / gaps[1] == pytest.approx(10, rel=0.05)
 
 
+@pytest.mark.slow
 def test_gauss_newton_is_exact_at_a_perfect_fit(sphere_problem):
     angle = 2 * jnp.asarray(X)
     y = jnp.stack([jnp.cos(angle), 0.6 * jnp.sin(angle), 0.8 * jnp.sin(angle)], axis=1)
@@ -207,6 +207,7 @@ def plate():
     return x, y, mr.fit(box, mr.Euclidean(2), x, y, 1e-4, centres=150)
 
 
+@pytest.mark.slow
 def test_box_is_a_thin_plate_with_free_edges(plate):
     x, y, model = plate
     new = np.random.default_rng(6).uniform(size=(300, 2))
@@ -215,12 +216,14 @@ def test_box_is_a_thin_plate_with_free_edges(plate):
     assert np.abs(model(x)[:, 0] - y[:, 0]).max() > 1e-2
 
 
+@pytest.mark.slow
 def test_affine_data_are_reproduced(plate):
     _, _, model = plate
     corners = np.array([[0.0, 0], [1, 0], [0, 1], [1, 1]])
     np.testing.assert_allclose(model(corners)[:, 1], [3, 5, 2, 4], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_sphere_to_sphere_finds_a_rotation():
     rng = np.random.default_rng(0)
     x = rng.normal(size=(30, 3))

@@ -15,6 +15,7 @@ from ._grassmann import Grassmann as Grassmann
 from ._laws import check_manifold as check_manifold
 from ._level_set import LevelSet as LevelSet
 from ._planar_shapes import PlanarShapes as PlanarShapes
+from ._point_cloud import PointCloud as PointCloud
 from ._product import Product as Product
 from ._spd import SymmetricPositiveDefinite as SymmetricPositiveDefinite
 from ._special_orthogonal import SpecialOrthogonal as SpecialOrthogonal

@@ -1,0 +1,113 @@
+"""From start coefficients to a minimiser: on analytic targets one Newton solve (or the
+paper's penalty path), on point clouds a few, each on fixed patches."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from ._continuation import penalty_path
+from ._hessian import exact, gauss_newton
+from ._linear_solvers import DirectSolvers
+from ._local_target import local_target, moved
+from ._newton import Newton
+from ._objective import Stage, objective
+from ._problem import Problem
+from ._sources import Ambient
+from .manifolds import PointCloud
+
+GAUGE = 0.1  # gamma vol(M) of the projected energy: holds Psi near N, costs 1e-4 of E
+AMBIENT_GAUGE = 10.0  # of the penalised one on ambient sources, in one stage
+FLOOR = 1e-14  # of mean |y|^2: a smaller decrease is rounding (perfect fits)
+ROUNDS = 12  # Newton solves on a point cloud, each on the patches of the one before
+PATCH_RTOL = 1e-5  # relative decrease of the objective at which each of them stops
+SETTLED = 2e-3  # share of patches that may still change at the end
+
+Method = Literal["projected", "penalty"]
+
+
+def newton_minimiser(solvers: DirectSolvers, rtol: float) -> Newton:
+    return Newton(
+        rtol=rtol,
+        atol=0.0,
+        model_hessian=gauss_newton,
+        exact_hessian=exact,
+        model_descent=optx.NewtonDescent(linear_solver=solvers.positive),
+        exact_descent=optx.NewtonDescent(linear_solver=solvers.indefinite),
+    )
+
+
+def stage_of(problem: Problem, lam, gamma, method: Method, w) -> Stage:
+    """The objective near the map with coefficients `w`. Psi of an ambient source is a map
+    of the whole neighbourhood, which does not stay on N: its energy is that of Psi, not of
+    its projection."""
+    projected = method == "projected" and not isinstance(problem.source, Ambient)
+    return Stage(problem, lam, gamma, projected, local_target(problem, w))
+
+
+def minimise(
+    problem: Problem,
+    lam,
+    w0: Float[Array, "KC t"],
+    method: Method,
+    newton: Newton,
+    max_steps: int,
+):
+    """`(w, gamma, objective, result, stats)`."""
+    floor = FLOOR * jnp.mean(jnp.sum(problem.y**2, axis=1))
+    newton = eqx.tree_at(lambda n: n.atol, newton, newton.atol + floor)
+    cloud = isinstance(problem.target, PointCloud)
+    if method == "penalty":
+        if cloud:
+            raise ValueError("method: 'penalty' is for analytic targets; leave it out.")
+        return penalty_path(problem, lam, w0, newton, max_steps)
+    gauge = AMBIENT_GAUGE if isinstance(problem.source, Ambient) else GAUGE
+    stage = stage_of(problem, lam, gauge / problem.volume, method, w0)
+    if cloud:
+        # the patches are wrong by more than this, and exact Hessians dear
+        coarse = (jnp.maximum(newton.rtol, PATCH_RTOL), 0.0)
+        newton = eqx.tree_at(lambda n: (n.rtol, n.near), newton, coarse)
+        w, total, result, stats = _rounds(newton, stage, w0, max_steps)
+    else:
+        w, total, result, stats = _newton_solve(newton, stage, w0, max_steps)
+    return w, stage.gamma, total, result, stats
+
+
+def _newton_solve(newton: Newton, stage: Stage, w, max_steps: int):
+    solution = optx.minimise(
+        objective, newton, w, stage, has_aux=True, max_steps=max_steps, throw=False
+    )
+    total, _ = objective(solution.value, stage)
+    return solution.value, total, solution.result, solution.stats
+
+
+def _rounds(newton: Newton, stage: Stage, w0, max_steps: int):
+    """Newton solves with the patches renewed in between, until hardly any change."""
+
+    def solve_round(w, local):
+        here = eqx.tree_at(lambda s: s.local, stage, local)
+        w, total, result, stats = _newton_solve(newton, here, w, max_steps)
+        renewed = local_target(stage.problem, w)
+        assert renewed is not None
+        return w, renewed, total, moved(local, renewed), result, stats
+
+    def unfinished(carry):
+        rounds, _, _, _, share, _, _ = carry
+        return (rounds < ROUNDS) & (share > SETTLED)
+
+    def next_round(carry):
+        rounds, w, local, _, _, _, before = carry
+        w, local, total, share, result, stats = solve_round(w, local)
+        counts = ("num_newton_steps", "num_trials", "num_steps")
+        stats = {**stats, **{name: stats[name] + before[name] for name in counts}}
+        return rounds + 1, w, local, total, share, result, stats
+
+    first = solve_round(w0, stage.local)
+    carry = jax.tree.map(jnp.asarray, (1, *first))
+    rounds, w, _, total, _, result, stats = jax.lax.while_loop(
+        unfinished, next_round, carry
+    )
+    return w, total, result, {**stats, "num_rounds": rounds}
