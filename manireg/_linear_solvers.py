@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import sparsax
+from jaxtyping import Array, Float
 
 from ._sparse import SparseSymmetric
 
@@ -43,8 +44,8 @@ class SparseCholesky(_AbstractDirect):
 
     def compute(self, state, vector, options):
         i, j, values, scale = state
-        solution = sparsax.solve(i, j, values, (scale * vector).ravel())
-        return scale * solution.reshape(vector.shape), lx.RESULTS.successful, {}
+        solution = sparsax.solve(i, j, values, _flat(scale, vector))
+        return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
 
 class SparseLU(_AbstractDirect):
@@ -62,8 +63,8 @@ class SparseLU(_AbstractDirect):
 
     def compute(self, state, vector, options):
         i, j, values, scale = state
-        solution = sparsax.lu_solve(i, j, values, (scale * vector).ravel())
-        return scale * solution.reshape(vector.shape), lx.RESULTS.successful, {}
+        solution = sparsax.lu_solve(i, j, values, _flat(scale, vector))
+        return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
 
 class DenseCholesky(_AbstractDirect):
@@ -76,9 +77,8 @@ class DenseCholesky(_AbstractDirect):
 
     def compute(self, state, vector, options):
         factor, scale = state
-        rhs = (scale * vector).ravel()
-        solution = jax.scipy.linalg.cho_solve((factor, True), rhs)
-        return scale * solution.reshape(vector.shape), lx.RESULTS.successful, {}
+        solution = jax.scipy.linalg.cho_solve((factor, True), _flat(scale, vector))
+        return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
 
 class DenseLU(_AbstractDirect):
@@ -89,9 +89,8 @@ class DenseLU(_AbstractDirect):
 
     def compute(self, state, vector, options):
         factor, scale = state
-        rhs = (scale * vector).ravel()
-        solution = jax.scipy.linalg.lu_solve(factor, rhs)
-        return scale * solution.reshape(vector.shape), lx.RESULTS.successful, {}
+        solution = jax.scipy.linalg.lu_solve(factor, _flat(scale, vector))
+        return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
 
 class DirectSolvers(eqx.Module):
@@ -125,6 +124,18 @@ def _sparse(operator: lx.AbstractLinearOperator) -> SparseSymmetric:
 def _scale(operator: SparseSymmetric):
     diagonal = jnp.abs(operator.diagonal())
     return jax.lax.rsqrt(jnp.maximum(diagonal, 1e-14 * jnp.max(diagonal)))
+
+
+def _flat(scale: Float[Array, "size t"], vector: Float[Array, "size t *sides"]):
+    """Scaled right-hand side, or several: `(size t, *sides)`."""
+    sides = vector.shape[2:]
+    return scale.reshape(-1, *(1 for _ in sides)) * vector.reshape(-1, *sides)
+
+
+def _unflat(scale, vector, solution):
+    sides = vector.shape[2:]
+    scaled = scale.reshape(-1, *(1 for _ in sides)) * solution
+    return scaled.reshape(vector.shape)
 
 
 def _scaled_blocks(operator: SparseSymmetric, scale):

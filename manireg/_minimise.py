@@ -23,8 +23,9 @@ GAUGE = 0.1  # gamma vol(M) of the projected energy: holds Psi near N, costs 1e-
 AMBIENT_GAUGE = 10.0  # of the penalised one on ambient sources, in one stage
 FLOOR = 1e-14  # of mean |y|^2: a smaller decrease is rounding (perfect fits)
 ROUNDS = 12  # Newton solves on a point cloud, each on the patches of the one before
-PATCH_RTOL = 1e-5  # relative decrease of the objective at which each of them stops
-SETTLED = 2e-3  # share of patches that may still change at the end
+ROUND_STEPS = 4  # trial steps of each: more are lost when the patches change
+PATCH_RTOL = 1e-5  # relative decrease of the objective at which each stops
+SETTLED = 1e-2  # share of patches that may still change at the end
 
 Method = Literal["projected", "penalty"]
 
@@ -70,7 +71,7 @@ def minimise(
         # the patches are wrong by more than this, and exact Hessians dear
         coarse = (jnp.maximum(newton.rtol, PATCH_RTOL), 0.0)
         newton = eqx.tree_at(lambda n: (n.rtol, n.near), newton, coarse)
-        w, total, result, stats = _rounds(newton, stage, w0, max_steps)
+        w, total, result, stats = _rounds(newton, stage, w0)
     else:
         w, total, result, stats = _newton_solve(newton, stage, w0, max_steps)
     return w, stage.gamma, total, result, stats
@@ -84,15 +85,24 @@ def _newton_solve(newton: Newton, stage: Stage, w, max_steps: int):
     return solution.value, total, solution.result, solution.stats
 
 
-def _rounds(newton: Newton, stage: Stage, w0, max_steps: int):
+def _rounds(newton: Newton, stage: Stage, w0):
     """Newton solves with the patches renewed in between, until hardly any change."""
 
     def solve_round(w, local):
         here = eqx.tree_at(lambda s: s.local, stage, local)
-        w, total, result, stats = _newton_solve(newton, here, w, max_steps)
+        w, total, result, stats = _newton_solve(newton, here, w, ROUND_STEPS)
         renewed = local_target(stage.problem, w)
         assert renewed is not None
-        return w, renewed, total, moved(local, renewed), result, stats
+        share = moved(local, renewed)
+        settled = (result == optx.RESULTS.successful) | (
+            result == optx.RESULTS.nonlinear_max_steps_reached
+        )
+        result = optx.RESULTS.where(
+            settled & (share <= SETTLED),
+            optx.RESULTS.successful,
+            optx.RESULTS.nonlinear_max_steps_reached,
+        )
+        return w, renewed, total, share, result, stats
 
     def unfinished(carry):
         rounds, _, _, _, share, _, _ = carry

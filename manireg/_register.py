@@ -1,0 +1,151 @@
+"""Dense correspondence between two scanned surfaces from a few landmarks."""
+
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+from jaxtyping import ArrayLike, Float, Int, ScalarLike
+
+from ._leave_one_out import RTOL, LeaveOneOut, leave_one_out
+from ._problem import make_problem
+from ._solve import RegressionMap, evaluate, solve
+from ._sources import Ambient
+from .manifolds import PointCloud
+from .manifolds._meshes import as_mesh
+
+Surface = trimesh.Trimesh | PointCloud | str | Path
+
+
+class Registration(eqx.Module):
+    """Where every vertex of the source belongs on the target."""
+
+    vertices: Float[np.ndarray, "n 3"]
+    """On the target, in the order of the source's vertices."""
+    model: RegressionMap
+    """The map itself, for any point of the source."""
+    cv: LeaveOneOut | None
+    """How lambda was chosen; None if it was given."""
+    landmark_errors: Float[np.ndarray, " l"]
+    """Distances on the target between where the landmarks are sent and belong."""
+    source_vertices: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "f 3"] | None
+
+    def mesh(self, t: float = 1.0) -> trimesh.Trimesh:
+        """The source's triangles at (1 - t) source + t target: t = 1 is the registered
+        mesh, 0.5 the morph half way, t > 1 a caricature."""
+        if self.faces is None:
+            raise ValueError("mesh: the source is a point cloud without triangles.")
+        between = (1 - t) * self.source_vertices + t * self.vertices
+        return trimesh.Trimesh(between, self.faces, process=False)
+
+    def stretch(self) -> Float[np.ndarray, " f"]:
+        """Area of each triangle on the target relative to its area on the source."""
+        return self.mesh(1.0).area_faces / np.maximum(self.mesh(0.0).area_faces, 1e-300)
+
+
+def register(
+    source: Surface,
+    target: Surface,
+    source_landmarks: ArrayLike,
+    target_landmarks: ArrayLike,
+    lam: ScalarLike | None = None,
+    *,
+    geometry: str = "ambient",
+    centres: int = 400,
+    progress: bool = True,
+) -> Registration:
+    """Learn the map from one surface to another that is smoothest in the sense of the
+    Eells energy and sends landmarks to landmarks (paper, section 5).
+
+    **Arguments:**
+
+    - `source`, `target`: meshes (`trimesh.Trimesh`, or files trimesh loads) or
+      `PointCloud`s.
+    - `source_landmarks`, `target_landmarks`: l vertex numbers, or positions `(l, 3)` up
+      to a hundredth of the size away from the surface; at least 5 pairs.
+    - `lam`: lambda, or None to choose it by `leave_one_out` over the landmarks.
+    - `geometry`: `"ambient"` (default) penalises bending in all directions of space,
+      `"intrinsic"` the Eells energy of the surface itself, which lets it bend freely.
+    - `centres`: about how many local polynomials; cost and detail grow with them.
+
+    No alignment is needed before: affine maps cost nothing at the start. **Raises**
+    ValueError for landmarks that are too few, off the surface, NaN or on one line, and
+    for what `PointCloud` rejects.
+    """
+    start, faces = _vertices(source)
+    cloud, onto = _cloud(source), _cloud(target)
+    x = _positions("source_landmarks", source_landmarks, start, cloud)
+    y = _positions("target_landmarks", target_landmarks, _vertices(target)[0], onto)
+    if len(x) != len(y) or len(x) < 5:
+        raise ValueError(
+            f"landmarks: at least 5 pairs are needed, found {len(x)} on the source and "
+            f"{len(y)} on the target."
+        )
+    if np.linalg.matrix_rank(x - x.mean(0), tol=1e-3 * np.ptp(x)) < 2:
+        raise ValueError("source_landmarks: all on one line; spread them out.")
+    if geometry not in ("ambient", "intrinsic"):
+        raise ValueError(
+            f"geometry: expected 'ambient' or 'intrinsic', found {geometry!r}."
+        )
+    problem = make_problem(
+        Ambient(cloud) if geometry == "ambient" else cloud,
+        onto,
+        x,
+        y,
+        centres=centres,
+        degree=1,
+    )
+    if lam is None:
+        cv = leave_one_out(problem, progress=progress)
+        model = cv.model
+    else:
+        cv = None
+        model = solve(problem, lam, starts=(1.0,), rtol=RTOL, throw=False)
+    image = onto.project(
+        evaluate(model.basis, model.coefficients, jnp.asarray(start))[0]
+    )
+    errors = np.linalg.norm(np.asarray(model(x)) - np.asarray(problem.y), axis=1)
+    return Registration(np.asarray(image), model, cv, errors, start, faces)
+
+
+def _cloud(surface: Surface) -> PointCloud:
+    return surface if isinstance(surface, PointCloud) else PointCloud.from_mesh(surface)
+
+
+def _vertices(surface: Surface):
+    if isinstance(surface, PointCloud):
+        return np.asarray(surface.points), None
+    mesh = as_mesh(surface)
+    return np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
+
+
+def _positions(name: str, landmarks, vertices, cloud: PointCloud) -> np.ndarray:
+    """Landmarks as points of the surface."""
+    landmarks = np.asarray(landmarks)
+    if landmarks.ndim == 1 and landmarks.dtype.kind in "iu":
+        wrong = landmarks[(landmarks < 0) | (landmarks >= len(vertices))]
+        if len(wrong):
+            raise ValueError(
+                f"{name}: vertex {wrong[0]} does not exist; there are {len(vertices)}."
+            )
+        positions = vertices[landmarks]
+    elif landmarks.ndim == 2 and landmarks.shape[1] == 3:
+        positions = landmarks.astype(float)
+    else:
+        raise ValueError(
+            f"{name}: expected vertex numbers (l,) or positions (l, 3), found shape "
+            f"{landmarks.shape} of {landmarks.dtype}."
+        )
+    if not np.all(np.isfinite(positions)):
+        raise ValueError(f"{name}: NaN or infinity; remove these pairs.")
+    landed = np.asarray(cloud.project(jnp.asarray(positions)))
+    gap = np.linalg.norm(landed - positions, axis=1)
+    size = np.linalg.norm(np.ptp(vertices, axis=0))
+    if gap.max() > 1e-2 * size:
+        raise ValueError(
+            f"{name}: landmark {gap.argmax()} lies {gap.max():.3g} off the surface, more "
+            f"than 1 % of its size ({size:.3g}). Wrong units or the wrong mesh?"
+        )
+    return landed

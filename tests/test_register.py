@@ -1,0 +1,95 @@
+"""Leave-one-out scores against refits; registration of surfaces with known maps."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from curves import X, curve_problem
+
+import manireg as mr
+
+
+def refitted_errors(problem, lam):
+    """Distance of each datum from the fit to all others, with their factor 1/k kept: the
+    weights of the others stay what they were, so lambda grows by k / (k - 1)."""
+    k = len(problem.y)
+    errors = []
+    for i in range(k):
+        weights = problem.weights.at[i].set(0.0)
+        without = eqx.tree_at(lambda p: p.weights, problem, weights)
+        model = mr.solve(without, lam * k / (k - 1))
+        errors.append(jnp.linalg.norm(model(problem.x[i])[0] - problem.y[i]))
+    return np.array(errors)
+
+
+def test_linear_leave_one_out_is_exact():
+    y = np.stack([np.sin(3 * X), np.cos(2 * X) + X], axis=1)
+    y += 0.2 * np.random.default_rng(0).normal(size=y.shape)
+    problem = curve_problem(mr.Euclidean(2), y)
+    loo = mr.leave_one_out(problem, [1e-4, 1e-2], progress=False)
+    assert loo.scores.shape == (len(X), 2)
+    for j, lam in enumerate([1e-4, 1e-2]):
+        np.testing.assert_allclose(
+            loo.scores[:, j], refitted_errors(problem, lam), rtol=1e-6
+        )
+    assert loo.lam == loo.lams[jnp.argmin(jnp.mean(loo.scores, axis=0))]
+
+
+def bend(p):
+    """A smooth map of space that no affine map comes near."""
+    return p * [1.0, 1.2, 0.8] + 0.15 * np.sin(2 * p[:, [1, 2, 0]])
+
+
+BALL = trimesh.creation.icosphere(subdivisions=4)
+BENT = trimesh.Trimesh(bend(BALL.vertices), BALL.faces, process=False)
+LANDMARKS = np.arange(40)  # the vertices of the coarsest levels
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("geometry", ["ambient", "intrinsic"])
+def test_bent_ball(geometry):
+    found = mr.register(
+        BALL, BENT, LANDMARKS, LANDMARKS, geometry=geometry, centres=80, progress=False
+    )
+    error = np.linalg.norm(found.vertices - BENT.vertices, axis=1)
+    linear = np.linalg.lstsq(
+        np.c_[BALL.vertices[LANDMARKS], np.ones(40)], BENT.vertices[LANDMARKS]
+    )[0]
+    affine = np.c_[BALL.vertices, np.ones(len(error))] @ linear
+    assert error.mean() < 0.3 * np.linalg.norm(affine - BENT.vertices, axis=1).mean()
+    assert found.landmark_errors.max() < 0.05
+    surface = mr.PointCloud.from_mesh(BENT)
+    on_it = surface.signed_distance(jnp.asarray(found.vertices))
+    assert np.abs(on_it).max() < 1e-3
+    assert found.mesh(0.5).is_watertight
+    assert found.stretch().shape == (len(BALL.faces),)
+
+
+def off_surface(p):
+    return np.where(np.arange(len(p))[:, None] == 2, 2 * p, p)
+
+
+PLACES = BALL.vertices[LANDMARKS]
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "message"),
+    [
+        (LANDMARKS[:3], LANDMARKS[:3], "at least 5 pairs .* found 3"),
+        (LANDMARKS, LANDMARKS[:-1], "found 40 on the source and 39 on the target"),
+        (LANDMARKS + 2600, LANDMARKS, "source_landmarks: vertex 2600 does not exist"),
+        (PLACES * np.nan, LANDMARKS, "source_landmarks: NaN or infinity"),
+        (off_surface(PLACES), LANDMARKS, "source_landmarks: landmark 2 lies .* off"),
+        (PLACES[:, :2], LANDMARKS, r"expected vertex numbers \(l,\) or positions"),
+    ],
+    ids=["few", "lengths", "vertex", "NaN", "off", "shape"],
+)
+def test_bad_landmarks(ours, theirs, message):
+    with pytest.raises(ValueError, match=message):
+        mr.register(BALL, BALL, ours, theirs, 1e-3)
+
+
+def test_bad_geometry():
+    with pytest.raises(ValueError, match="geometry: expected 'ambient' or 'intr"):
+        mr.register(BALL, BALL, LANDMARKS, LANDMARKS, geometry="outer")
