@@ -255,6 +255,7 @@ def test_second_differences_of_quadratics_are_exact():
     np.testing.assert_allclose(energy(x**2), 8 * (1 - grid.steps[0]), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_hard_constraint_tends_to_geodesic_regression(curve):
     x, y = curve
     limit = baselines.geodesic_regression(INTERVAL, SPHERE, x, y)
@@ -323,6 +324,7 @@ def test_geodesic_regression_of_rotations(key):
     np.testing.assert_allclose(model(x), y, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_rank_one_geodesic_regression(rng):
     source = mr.Box([0, 0], [1, 1])
     x = rng.uniform(size=(30, 2))

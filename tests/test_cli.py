@@ -98,9 +98,8 @@ def test_lat_lon_and_input_file(fit, tmp_path):
     )
 
 
-@pytest.mark.parametrize(
-    "form", [pytest.param("quaternion", marks=pytest.mark.slow), "matrix"]
-)
+@pytest.mark.parametrize("form", ["quaternion", "matrix"])
+@pytest.mark.slow
 def test_rotations(fit, tmp_path, form):
     turns = Rotation.from_rotvec(np.outer(T, [1.0, 2.0, -1.0]))
     if form == "quaternion":
@@ -126,6 +125,7 @@ def test_rotations(fit, tmp_path, form):
     assert (rotations.inv() * expected).magnitude().max() < 1e-5
 
 
+@pytest.mark.slow
 def test_circle_across_the_cut(fit, tmp_path):
     file = table(tmp_path / "data.csv", hour=T, wind=(300 + 90 * T) % 360)
     arguments = ["--target", "circle", "--input", "hour", "--output", "wind"]
@@ -152,6 +152,7 @@ def test_euclidean_plane_from_a_box(fit, tmp_path):
     np.testing.assert_allclose(b, u + 3 * v, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_automatic_lambda(fit, tmp_path):
     """Noise about a geodesic: cross-validation must smooth a good part of it away."""
     rng = np.random.default_rng(1)
@@ -239,6 +240,7 @@ def test_help_shows_examples():
     assert "north_america" in run("demo", "--help").output
 
 
+@pytest.mark.slow
 def test_module_switches_x64_on(sphere_csv, tmp_path):
     """`python -m manireg` in a process of its own, where x64 starts off."""
     out = tmp_path / "out.csv"

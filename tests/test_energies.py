@@ -308,6 +308,7 @@ def test_energy_of_a_moebius_map_through_the_basis_converges():
     assert error < 4e-3
 
 
+@pytest.mark.slow
 def test_energy_of_a_moebius_map_through_the_default_basis():
     x = fibonacci(800)
     y = jax.vmap(moebius(1.5))(jnp.asarray(x))

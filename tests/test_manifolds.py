@@ -27,7 +27,10 @@ from manireg.manifolds import (
     shooting_log,
 )
 
-SLOW = ("quartic", "curve", "so2", "so3", "so4", "stiefel", "shapes")  # to compile
+SLOW = (  # to compile
+    *("torus", "ellipsoid", "quartic", "curve"),
+    *("so2", "so3", "so4", "stiefel", "shapes"),
+)
 AXES = np.array([1.0, 1.5, 2.0])
 
 

@@ -44,6 +44,7 @@ def on_the_graph(p):
     return PATCH.normal @ (p - PATCH.origin) - height
 
 
+@pytest.mark.slow
 def test_patch_is_the_level_set_of_its_graph():
     """Closest points and their derivatives up to the third, from another solver."""
     level_set = mr.LevelSet(on_the_graph, 3, reach=1.0, center=PATCH.origin)
@@ -100,6 +101,7 @@ def test_curve_in_the_plane():
     np.testing.assert_allclose(cloud.project(p), exact, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_energies_on_a_cloud():
     """Moebius dilation of the sphere: (8 pi/3)(k - 1/k)^2; the inclusion: 8 pi."""
     cloud, k = sphere_cloud(5000), 1.5

@@ -30,6 +30,7 @@ def chosen():
     return choose()
 
 
+@pytest.mark.slow
 def test_lambda_beats_both_ends_of_the_grid(chosen):
     problem = mr.make_problem(
         INTERVAL, LINE, X, (truth(X) + NOISE)[:, None], centres=40

@@ -36,7 +36,9 @@ def predict(problem, lam):
     return mr.solve(problem, lam)(GRID)
 
 
-@pytest.mark.parametrize("projected", [True, False])
+@pytest.mark.parametrize(
+    "projected", [pytest.param(True, marks=pytest.mark.slow), False]
+)
 def test_hessians(problem, projected):
     w = mr.solve(problem, 1e-2).coefficients
     w = w + 0.01 * jax.random.normal(jax.random.key(0), w.shape)

@@ -150,6 +150,7 @@ def test_weight_two_is_a_datum_twice():
     assert abs(values[0][0] / values[2][0] - 1) > 1e-2
 
 
+@pytest.mark.slow
 def test_function_on_the_sphere_is_the_harmonic_spline():
     """Kernel of mathematics.md 5.3, summed to degree 300."""
     rng = np.random.default_rng(0)
