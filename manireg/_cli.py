@@ -1,6 +1,5 @@
-"""The command line: `manireg demo` and `manireg fit`."""
+"""The command line: `manireg demo`, `manireg fit` and `manireg register`."""
 
-import contextlib
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,6 +14,8 @@ from rich.table import Table
 import manireg as mr
 
 from . import datasets, plot
+from ._cli_errors import check_written, clean_errors
+from ._cli_register import register
 from ._cli_tables import Columns, Target, TargetName, numbers, read_target, write_table
 
 app = typer.Typer(
@@ -31,6 +32,9 @@ Folds = Annotated[int, typer.Option(min=2, help="Folds of the cross-validation."
 Seed = Annotated[int, typer.Option(help="Seed of the random folds.")]
 
 
+app.command()(register)
+
+
 def main() -> None:
     app()
 
@@ -39,7 +43,8 @@ def main() -> None:
 def setup() -> None:
     """Regression between Riemannian manifolds with the Eells energy.
 
-    Start with `manireg demo`, then `manireg fit --help`.
+    Start with `manireg demo`, then `manireg fit --help` for tables and `manireg register
+    --help` for scanned surfaces.
     """
     jax.config.update("jax_enable_x64", True)
 
@@ -61,8 +66,8 @@ def demo(
     more. How smooth the curve is, cross-validation chooses on every second pole: the
     poles are running means, so neighbours share data and would not be independent.
     """
-    with _clean_errors():
-        _check_written(out)
+    with clean_errors():
+        check_written(out)
         path = datasets.polar_wander(plate)
         x, y, w = path.ages, path.directions, path.weights
         source, sphere = mr.Interval(x[0], x[-1]), mr.Sphere(2)
@@ -143,8 +148,8 @@ def fit(
 
         manireg fit wind.csv --target circle --input hour --output direction --lam 0.1
     """
-    with _clean_errors():
-        _check_written(picture, out)
+    with clean_errors():
+        check_written(picture, out)
         table = datasets.read_table(data)
         inputs = _names(input)
         x = numbers(table, inputs, "--input", data)
@@ -182,35 +187,6 @@ def fit(
             written.append(picture)
         summary = f"{len(x)} rows of {data.name}, {input} -> {target}"
         _report(summary, model, cv, there.degrees, seconds, written)
-
-
-@contextlib.contextmanager
-def _clean_errors():
-    """Mistakes in the input end the program with one line and status 2."""
-    try:
-        yield
-    except (ValueError, OSError, ModuleNotFoundError) as error:
-        message = str(error)
-    except RuntimeError as error:
-        # equinox's message is the last paragraph before its ruler
-        reason = str(error).split("\n---")[0].strip().splitlines()[-1]
-        reason = reason.removeprefix("equinox.EquinoxRuntimeError: ")
-        message = f"the fit failed: {reason} Try a larger --lam."
-    else:
-        return
-    typer.secho(f"manireg: {' '.join(message.split())}", fg="red", err=True)
-    raise typer.Exit(2)
-
-
-def _check_written(picture: Path | None, *others: Path) -> None:
-    """Before any work: can the files be written?"""
-    for path in (*others, *([picture] if picture else [])):
-        if not path.absolute().parent.is_dir():
-            raise ValueError(f"{path}: there is no folder {path.parent}.")
-    if picture is not None:
-        if picture.suffix not in (".png", ".pdf", ".svg"):
-            raise ValueError(f"{picture}: a picture ends in .png, .pdf or .svg.")
-        plot.figure()
 
 
 def _names(columns: str | None) -> list[str]:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
+from tqdm.auto import tqdm
 
 from ._checks import check_lam
 from ._densities import project_flat
@@ -17,7 +18,6 @@ from ._linear_solvers import DirectSolvers, direct_solvers
 from ._minimise import minimise, newton_minimiser, stage_of
 from ._objective import at_data, data_weights
 from ._problem import Problem
-from ._progress import progress_bar
 from ._selection import lambda_grid
 from ._solve import RegressionMap, free_solution, solve
 
@@ -68,11 +68,9 @@ def leave_one_out(
     solvers = direct_solvers(linear_algebra)
     w = eqx.filter_jit(free_solution)(problem, grid[-1], solvers)
     fits = []
-    with progress_bar(len(grid), "leave-one-out", progress) as bar:
-        del bar
-        for lam in grid[::-1]:
-            w, errors, converged = _fit_and_score(problem, lam, w, solvers, max_steps)
-            fits.append((w, errors, converged))
+    for lam in tqdm(grid[::-1], "leave-one-out", disable=not progress, leave=False):
+        w, *scored = _fit_and_score(problem, lam, w, solvers, max_steps)
+        fits.append((jax.block_until_ready(w), *scored))
     paths, scores, converged = (jnp.stack(a[::-1]) for a in zip(*fits, strict=True))
     best = jnp.argmin(jnp.mean(scores, axis=1))
     model = solve(

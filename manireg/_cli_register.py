@@ -1,0 +1,97 @@
+"""`manireg register`."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+import manireg as mr
+
+from . import plot
+from ._cli_errors import check_written, clean_errors
+from ._cli_tables import numbers
+from .datasets import read_table
+
+
+def register(
+    source: Annotated[Path, typer.Argument(help="Mesh: PLY, OBJ, STL, ...")],
+    target: Annotated[Path, typer.Argument(help="Mesh to map it onto.")],
+    landmarks: Annotated[
+        Path,
+        typer.Option(
+            help="CSV with a row for each pair. Columns `source,target` hold vertex "
+            "numbers (from 0), or `sx,sy,sz,tx,ty,tz` positions."
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(help="The registered mesh: source triangles on the target.")
+    ] = Path("registered.ply"),
+    picture: Annotated[
+        Path | None, typer.Option(help="Source, morph and distortion: PNG, PDF or SVG.")
+    ] = None,
+    morph: Annotated[
+        float | None,
+        typer.Option(help="Also write the morph at this share, 0.5 is half way."),
+    ] = None,
+    lam: Annotated[
+        float | None,
+        typer.Option(help="Lambda. Default: chosen by leaving out landmarks."),
+    ] = None,
+    geometry: Annotated[
+        str, typer.Option(help="`ambient` (stiff) or `intrinsic` (bends freely).")
+    ] = "ambient",
+    centres: Annotated[int, typer.Option(min=20, help="Local polynomials.")] = 400,
+) -> None:
+    """Map one scanned surface onto another from a few landmarks.
+
+    Example: `manireg register mean.ply anna.ply --landmarks pairs.csv --picture anna.png
+    --morph 0.5`. Every vertex of the source gets its place on the target. Meshes of 20,000
+    vertices take some minutes, most of them for the choice of lambda.
+    """
+    with clean_errors():
+        check_written(picture, out)
+        ours, theirs = _read_landmarks(landmarks)
+        start = time.perf_counter()
+        found = mr.register(
+            source, target, ours, theirs, lam, geometry=geometry, centres=centres
+        )
+        seconds = time.perf_counter() - start
+        found.mesh().export(out)
+        written = [str(out)]
+        if morph is not None:
+            path = out.with_stem(f"{out.stem}_morph")
+            found.mesh(morph).export(path)
+            written.append(str(path))
+        if picture is not None:
+            plot.save(
+                plot.registration(found, 0.5 if morph is None else morph), picture
+            )
+            written.append(str(picture))
+        table = Table(show_header=False, box=None, pad_edge=False)
+        if found.cv is not None:
+            table.add_row("lambda", f"{float(found.cv.lam):.3g} (landmarks left out)")
+            table.add_row(
+                "error of a left-out landmark", f"{float(found.cv.score):.3g}"
+            )
+        errors = found.landmark_errors
+        table.add_row(
+            "landmark errors", f"{errors.mean():.3g}, at most {errors.max():.3g}"
+        )
+        low, high = np.percentile(found.stretch(), [5, 95])
+        table.add_row("area on target / source", f"{low:.2f} to {high:.2f} (90 %)")
+        table.add_row("time", f"{seconds:.0f} s")
+        table.add_row("written", ", ".join(written))
+        Console().print(table)
+
+
+def _read_landmarks(file: Path):
+    columns = read_table(file)
+    if {"source", "target"} <= set(columns):
+        pairs = numbers(columns, ["source", "target"], "--landmarks", file)
+        return pairs.astype(int).T
+    both = numbers(columns, ["sx", "sy", "sz", "tx", "ty", "tz"], "--landmarks", file)
+    return both[:, :3], both[:, 3:]
