@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 from curves import X, curve_problem
+from typer.testing import CliRunner
 
 import manireg as mr
+from manireg._cli import app
 
 
 def refitted_errors(problem, lam):
@@ -91,3 +93,44 @@ def test_bad_landmarks(ours, theirs, message):
 def test_bad_geometry():
     with pytest.raises(ValueError, match="geometry: expected 'ambient' or 'intr"):
         mr.register(BALL, BALL, LANDMARKS, LANDMARKS, geometry="outer")
+
+
+def command(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["vertices", "positions"])
+def test_command(tmp_path, form):
+    """Meshes written by trimesh, in three formats."""
+    BALL.export(tmp_path / "ball.ply")
+    BENT.export(tmp_path / "bent.obj" if form == "vertices" else tmp_path / "bent.stl")
+    bent = next(tmp_path.glob("bent.*"))
+    if form == "vertices":
+        header, rows = "source,target", np.stack([LANDMARKS, LANDMARKS], axis=1)
+    else:
+        header = "sx,sy,sz,tx,ty,tz"
+        rows = np.concatenate([PLACES, BENT.vertices[LANDMARKS]], axis=1)
+    pairs, out = tmp_path / "pairs.csv", tmp_path / "out.ply"
+    np.savetxt(pairs, rows, delimiter=",", header=header, comments="", fmt="%.12g")
+    run = command(
+        "register", tmp_path / "ball.ply", bent, "--landmarks", pairs, "--out", out,
+        "--lam", 1e-5, "--centres", 80, "--picture", tmp_path / "out.png",
+        "--morph", 0.5,
+    )  # fmt: skip
+    assert run.exit_code == 0, run.output
+    assert "landmark errors" in run.output
+    found = trimesh.load_mesh(out)
+    assert len(found.faces) == len(BALL.faces)
+    gap = np.linalg.norm(found.vertices - BENT.vertices, axis=1)
+    assert gap.mean() < 0.02
+    assert len(trimesh.load_mesh(tmp_path / "out_morph.ply").faces) == len(BALL.faces)
+    assert (tmp_path / "out.png").stat().st_size > 20_000
+
+
+def test_command_names_mistakes(tmp_path):
+    BALL.export(tmp_path / "ball.ply")
+    (tmp_path / "pairs.csv").write_text("source,aim\n1,2\n")
+    arguments = ["register", tmp_path / "ball.ply", tmp_path / "ball.ply"]
+    run = command(*arguments, "--landmarks", tmp_path / "pairs.csv")
+    assert run.exit_code == 2 and "has no column `sx`" in run.output

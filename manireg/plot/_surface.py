@@ -64,5 +64,8 @@ def registration(found: Any, morph: float = 0.5) -> Figure:
 
     scale = ScalarMappable(LogNorm(2.0**-limit, 2.0**limit), "RdBu_r")
     bar = figure_of(panels[-1]).colorbar(scale, ax=panels[-1], shrink=0.6)
+    marks = [2.0**-limit, 1.0, 2.0**limit]
+    bar.set_ticks(marks, labels=[f"{mark:.2f}" for mark in marks], minor=False)
+    bar.minorticks_off()
     bar.set_label("area on target / source")
     return picture
