@@ -174,6 +174,12 @@ def test_neighbours():
         sphere_cloud(320, neighbours=3)
 
 
+@pytest.mark.parametrize("areas", [np.ones(3), np.zeros(320)])
+def test_areas(areas):
+    with pytest.raises(ValueError, match="areas: expected 320 positive numbers"):
+        sphere_cloud(320, areas=areas)
+
+
 @pytest.mark.parametrize("kind", ["ply", "obj", "stl"])
 def test_mesh_files(tmp_path, kind):
     ball = trimesh.creation.icosphere(subdivisions=4, radius=2.0)
