@@ -14,7 +14,7 @@ from ._energy import (
     thin_plate_energy as thin_plate_energy,
 )
 from ._fit import fit as fit
-from ._leave_one_out import LeaveOneOut as LeaveOneOut, leave_one_out as leave_one_out
+from ._leave_one_out import leave_one_out as leave_one_out
 from ._objective import Energies as Energies
 from ._problem import Problem as Problem, make_problem as make_problem
 from ._register import Registration as Registration, register as register

@@ -38,8 +38,13 @@ def jet_values(jets: Jets, w: Float[Array, "KC t"]) -> Float[Array, "e p J t"]:
 
 def values_at_data(jets: Jets, w: Float[Array, "KC t"], k: int) -> Float[Array, "k t"]:
     """Values of the map at the k points of `jets`, in their own order."""
-    values = jet_values(jets, w)[:, :, 0] * jets.mask[:, :, None]
-    return jnp.zeros((k, w.shape[1])).at[jets.index].add(values)
+    return in_order(jets, jet_values(jets, w)[:, :, 0], k)
+
+
+def in_order(jets: Jets, values: Float[Array, "e p t"], k: int) -> Float[Array, "k t"]:
+    """What the elements hold of k points, in the points' own order."""
+    values = values * jets.mask[:, :, None]
+    return jnp.zeros((k, values.shape[2])).at[jets.index].add(values)
 
 
 def second_derivative_pairs(m: int) -> list[tuple[int, int]]:

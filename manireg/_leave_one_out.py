@@ -7,39 +7,22 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 from tqdm.auto import tqdm
 
 from ._checks import check_lam
 from ._densities import project_flat
 from ._hessian import gauss_newton
-from ._jets import jet_values
+from ._jets import in_order, jet_values
 from ._linear_solvers import DirectSolvers, direct_solvers
 from ._minimise import minimise, newton_minimiser, stage_of
-from ._objective import at_data, data_weights
+from ._objective import at_data
 from ._problem import Problem
-from ._selection import lambda_grid
-from ._solve import RegressionMap, free_solution, solve
+from ._selection import CrossValidation, lambda_grid
+from ._solve import free_solution, solve
 
 VALUES = 8  # of a default grid
 RTOL = 1e-4  # relative decrease at which the fits of the path stop
-
-
-class LeaveOneOut(eqx.Module):
-    """Scores of a grid of lambdas, the best one, and the map fitted with it."""
-
-    lam: Float[Array, ""]
-    """The lambda of the lowest mean score."""
-    lams: Float[Array, " lams"]
-    scores: Float[Array, "k lams"]
-    """Predicted distance of each datum from the fit without it."""
-    converged: Bool[Array, " lams"]
-    model: RegressionMap
-
-    @property
-    def score(self) -> Float[Array, ""]:
-        """Mean score at the chosen lambda."""
-        return jnp.min(jnp.mean(self.scores, axis=0))
 
 
 def leave_one_out(
@@ -49,7 +32,7 @@ def leave_one_out(
     linear_algebra: str = "auto",
     max_steps: int = 40,
     progress: bool = True,
-) -> LeaveOneOut:
+) -> CrossValidation:
     r"""Choose lambda by approximate leave-one-out cross-validation: with
     $r_i = \pi\Psi(x_i) - y_i$, its derivative $J_i$ in the coefficients and the
     (Gauss-Newton) Hessian H, the residual of the fit without datum i is
@@ -58,7 +41,8 @@ def leave_one_out(
     for each fold, too. The lambdas are followed downwards, each from its neighbour.
 
     **Arguments:** `problem` from `make_problem`; `lams` the grid, default eight values of
-    `lambda_grid`; `progress` show a progress bar.
+    `lambda_grid`; `progress` show a progress bar. **Returns** what `cross_validate` does,
+    with one fold a datum: `scores` are the predicted lengths of the residuals.
     """
     if lams is None:
         grid = lambda_grid(problem, VALUES)
@@ -82,7 +66,8 @@ def leave_one_out(
         linear_algebra=linear_algebra,
         throw=False,
     )
-    return LeaveOneOut(grid[best], grid, scores.T, converged, model)
+    converged = jnp.broadcast_to(converged, scores.T.shape)
+    return CrossValidation(grid[best], grid, scores.T, converged, model)
 
 
 @eqx.filter_jit
@@ -100,9 +85,8 @@ def left_out_errors(
     stage = stage_of(problem, lam, gamma, "projected", w)
     jets, k, t = problem.data_jets, len(problem.y), problem.y.shape[1]
     values = jet_values(jets, w)[:, :, 0]
-    landed = lambda target, psi: project_flat(target, psi)
     slope = lambda target, psi: jax.jacfwd(lambda psi: project_flat(target, psi))(psi)
-    residual = at_data(stage, landed, values) - problem.y[jets.index]
+    residual = at_data(stage, project_flat, values) - problem.y[jets.index]
     projection = at_data(stage, slope, values)
 
     # J_i^T as columns: basis values (U) times D pi (t x t), one per datum and component
@@ -117,7 +101,7 @@ def left_out_errors(
     solution, _, _ = solver.compute(state, rhs.reshape(len(w), t, k * t), {})
     solution = solution.reshape(len(w), t, k, t)
     leverage = jnp.einsum("wtkr,wtkq->krq", rhs, solution)
-    share = jnp.zeros(k).at[jets.index].add(data_weights(problem))
-    residuals = jnp.zeros((k, t)).at[jets.index].add(residual * jets.mask[..., None])
+    share = problem.weights / jnp.sum(problem.weights)
+    residuals = in_order(jets, residual, k)
     left = jnp.eye(t) - 2 * share[:, None, None] * leverage
     return jnp.linalg.norm(jnp.linalg.solve(left, residuals[..., None])[..., 0], axis=1)

@@ -8,8 +8,9 @@ import numpy as np
 import trimesh
 from jaxtyping import ArrayLike, Float, Int, ScalarLike
 
-from ._leave_one_out import RTOL, LeaveOneOut, leave_one_out
+from ._leave_one_out import RTOL, leave_one_out
 from ._problem import make_problem
+from ._selection import CrossValidation
 from ._solve import RegressionMap, evaluate, solve
 from ._sources import Ambient
 from .manifolds import PointCloud
@@ -25,7 +26,7 @@ class Registration(eqx.Module):
     """On the target, in the order of the source's vertices."""
     model: RegressionMap
     """The map itself, for any point of the source."""
-    cv: LeaveOneOut | None
+    cv: CrossValidation | None
     """How lambda was chosen; None if it was given."""
     landmark_errors: Float[np.ndarray, " l"]
     """Distances on the target between where the landmarks are sent and belong."""
@@ -74,10 +75,10 @@ def register(
     ValueError for landmarks that are too few, off the surface, NaN or on one line, and
     for what `PointCloud` rejects.
     """
-    start, faces = _vertices(source)
-    cloud, onto = _cloud(source), _cloud(target)
+    cloud, start, faces = _surface(source)
+    onto, end, _ = _surface(target)
     x = _positions("source_landmarks", source_landmarks, start, cloud)
-    y = _positions("target_landmarks", target_landmarks, _vertices(target)[0], onto)
+    y = _positions("target_landmarks", target_landmarks, end, onto)
     if len(x) != len(y) or len(x) < 5:
         raise ValueError(
             f"landmarks: at least 5 pairs are needed, found {len(x)} on the source and "
@@ -110,15 +111,13 @@ def register(
     return Registration(np.asarray(image), model, cv, errors, start, faces)
 
 
-def _cloud(surface: Surface) -> PointCloud:
-    return surface if isinstance(surface, PointCloud) else PointCloud.from_mesh(surface)
-
-
-def _vertices(surface: Surface):
+def _surface(surface: Surface):
+    """As a point cloud, with the vertices and triangles it was given by."""
     if isinstance(surface, PointCloud):
-        return np.asarray(surface.points), None
+        return surface, np.asarray(surface.points), None
     mesh = as_mesh(surface)
-    return np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
+    vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
+    return PointCloud.from_mesh(mesh), vertices, faces
 
 
 def _positions(name: str, landmarks, vertices, cloud: PointCloud) -> np.ndarray:

@@ -17,15 +17,7 @@ from manireg._solve import evaluate, free_solution
 pytestmark = pytest.mark.slow  # minutes of compilation
 
 
-FAST_TARGETS = ["torus"]
-
-
-def marked(names, fast):
-    slow = pytest.mark.slow
-    return [n if n in fast else pytest.param(n, marks=slow) for n in names]
-
-
-@pytest.mark.parametrize("name", marked(MANIFOLDS, FAST_TARGETS))
+@pytest.mark.parametrize("name", MANIFOLDS)
 def test_data_on_a_geodesic_are_followed_without_energy(name):
     target = MANIFOLDS[name]
     p = target.random_points(jax.random.key(1), 1)[0]
@@ -87,10 +79,7 @@ def test_domains_integrate_and_carry_orthonormal_frames(name):
         np.testing.assert_allclose(centroid, 0, atol=5e-3 * size)
 
 
-FAST_SOURCES = ["cuboid", "circle", "product"]
-
-
-@pytest.mark.parametrize("name", marked(SOURCES, FAST_SOURCES))
+@pytest.mark.parametrize("name", SOURCES)
 def test_ambient_linear_functions_are_reproduced(name):
     """By the free start on any source, whatever lambda; then by evaluation elsewhere."""
     source = SOURCES[name][0]
@@ -110,7 +99,7 @@ def test_ambient_linear_functions_are_reproduced(name):
     np.testing.assert_allclose(values, new @ slope + 1.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", marked(["circle", "torus"], ["circle"]))
+@pytest.mark.parametrize("name", ["circle", "torus"])
 def test_identity_is_found(name):
     """An isometry: no energy, whatever lambda."""
     source = SOURCES[name][0]
