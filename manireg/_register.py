@@ -98,6 +98,13 @@ def register(
         centres=centres,
         degree=1,
     )
+    nothing = jnp.zeros((problem.pattern.size, 3))
+    if not evaluate(problem.basis, nothing, jnp.asarray(start))[1]:
+        raise ValueError(
+            "source: some vertices lie outside the support of every centre. Drop vertices "
+            "that no triangle uses (mesh.remove_unreferenced_vertices()), or take more "
+            "`centres`."
+        )
     if lam is None:
         cv = leave_one_out(problem, progress=progress)
         model = cv.model
