@@ -9,6 +9,7 @@ import functools
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ._densities import geodesic_loss, off_manifold_residual, project_flat
@@ -32,16 +33,20 @@ def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
         off = jnp.sqrt(stage.gamma) * off_manifold_residual(target, jet[0])
         return jnp.concatenate([energy.ravel(), off])
 
-    def gram(f, jets):
-        factor = _derivatives(f, jets)
+    def gram(f, jets, rows):
+        factor = _derivatives(f, jets, rows)
         return 2.0 * jnp.einsum("aepr,bepr->epab", factor, factor)
 
     landed = lambda target, jet: project_flat(target, jet[0])
     energy, data = stage.problem.energy_jets, stage.problem.data_jets
     return _assemble(
         stage,
-        gram(lambda j: at_quadrature(stage, residuals, j), jet_values(energy, w)),
-        gram(lambda j: at_data(stage, landed, j), jet_values(data, w)),
+        gram(
+            lambda j: at_quadrature(stage, residuals, j),
+            jet_values(energy, w),
+            _rows(stage),
+        ),
+        gram(lambda j: at_data(stage, landed, j), jet_values(data, w), [0]),
     )
 
 
@@ -56,28 +61,41 @@ def exact(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
     def loss(target, jet, y):
         return geodesic_loss(target, jet[0], y)
 
-    def hessian(values, jets):
-        columns = _derivatives(jax.grad(lambda jets: jnp.sum(values(jets))), jets)
+    def hessian(values, jets, rows):
+        gradient = jax.grad(lambda jets: jnp.sum(values(jets)))
+        columns = _derivatives(lambda jets: gradient(jets)[:, :, np.asarray(rows)], jets, rows)
         return jnp.moveaxis(columns.reshape(*columns.shape[:3], -1), 0, 2)
 
     energy, data = stage.problem.energy_jets, stage.problem.data_jets
     y = stage.problem.y[data.index]
     return _assemble(
         stage,
-        hessian(lambda j: at_quadrature(stage, density, j), jet_values(energy, w)),
-        hessian(lambda j: at_data(stage, loss, j, y), jet_values(data, w)),
+        hessian(
+            lambda j: at_quadrature(stage, density, j),
+            jet_values(energy, w),
+            _rows(stage),
+        ),
+        hessian(lambda j: at_data(stage, loss, j, y), jet_values(data, w), [0]),
     )
 
 
-def _derivatives(f, jets: Float[Array, "e p J t"]) -> Float[Array, "Jt e p ..."]:
-    """Derivative of `f` along each of the J t directions, of all jets at once. A loop over
-    directions: vmap over them too runs four to six times slower on a CPU."""
+def _derivatives(f, jets: Float[Array, "e p J t"], rows) -> Float[Array, "jt e p ..."]:
+    """Derivative of `f` along each direction of the given rows, of all jets at once. A
+    loop over directions: vmap over them too runs four to six times slower on a CPU."""
     J, t = jets.shape[2:]
 
     def along(direction):
         return jax.jvp(f, (jets,), (jnp.broadcast_to(direction, jets.shape),))[1]
 
-    return jax.lax.map(along, jnp.eye(J * t).reshape(J * t, J, t))
+    directions = jnp.eye(J * t).reshape(J, t, J, t)[np.asarray(rows)]
+    return jax.lax.map(along, directions.reshape(-1, J, t))
+
+
+def _rows(stage: Stage) -> np.ndarray:
+    """Of a jet, those the energy sees: no first derivatives in the penalised one."""
+    m = stage.problem.basis.dim
+    rows = np.arange(stage.problem.energy_jets.matrices.shape[2])
+    return rows if stage.projected else np.delete(rows, np.arange(1, 1 + m))
 
 
 def _assemble(
@@ -86,21 +104,31 @@ def _assemble(
     problem, t = stage.problem, stage.problem.y.shape[1]
     blocks = jnp.zeros((len(problem.pattern.rows), t, t))
     energy = energy * problem.energy_weights[:, :, None, None]
-    blocks = _add(blocks, energy, problem.energy_jets, problem.energy_scatter)
+    jets, scatters = problem.energy_jets, problem.energy_scatters
+    for (start, stop, U), scatter in zip(jets.buckets, scatters, strict=True):
+        matrices = jets.matrices[start:stop, :, _rows(stage), :U]
+        blocks = _add(blocks, energy[start:stop], matrices, scatter)
     data = data * data_weights(problem)[:, :, None, None]
-    blocks = _add(blocks, data, problem.data_jets, problem.data_scatter)
+    jets, scatters = problem.data_jets, problem.data_scatters
+    for (start, stop, U), scatter in zip(jets.buckets, scatters, strict=True):
+        matrices = jets.matrices[start:stop, :, :, :U]
+        blocks = _add(blocks, data[start:stop], matrices, scatter)
     return SparseSymmetric(blocks, problem.pattern)
 
 
-def _add(blocks, local: Float[Array, "e p Jt Jt"], jets: Jets, scatter: Scatter):
-    """Add A^T local A of all points: one dense product an element, then a scatter."""
+def _add(
+    blocks,
+    local: Float[Array, "e p Jt Jt"],
+    matrices: Float[Array, "e p J U"],
+    scatter: Scatter,
+):
+    """Add A^T local A of all points: one dense product an element, of the t(t+1)/2 pairs
+    of components a <= b, then a scatter."""
     t = blocks.shape[-1]
-    e, p, J, U = jets.matrices.shape
-    local = local.reshape(e, p, J, t, J, t)
-    terms = [
-        local[:, :, :, :, k, None, :] * jets.matrices[:, :, None, None, k, :, None]
-        for k in range(J)
-    ]
-    half = functools.reduce(jnp.add, terms).reshape(e, p * J, t * U * t)
-    whole = jnp.einsum("equ,eqv->euv", jets.matrices.reshape(e, p * J, U), half)
-    return scatter_add(blocks, scatter, whole.reshape(e, U, t, U, t))
+    e, p, J, U = matrices.shape
+    a, b = np.triu_indices(t)
+    pairs = jnp.moveaxis(local.reshape(e, p, J, t, J, t)[:, :, :, a, :, b], 0, 3)
+    terms = [pairs[..., k, None] * matrices[:, :, None, None, k, :] for k in range(J)]
+    half = functools.reduce(jnp.add, terms).reshape(e, p * J, len(a) * U)
+    whole = jnp.einsum("equ,eqv->euv", matrices.reshape(e, p * J, U), half)
+    return scatter_add(blocks, scatter, whole.reshape(e, U, len(a), U))

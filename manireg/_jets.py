@@ -16,6 +16,10 @@ from scipy.spatial import KDTree
 
 from ._local_polynomials import LocalPolynomials, basis_values
 
+POINTS_IN_ELEMENT = 24  # at most; 13 to 24 come out
+DATA_IN_ELEMENT = 4
+BUCKET = 512  # elements assembled at a time: bounds the memory
+
 
 class Jets(eqx.Module):
     """Linear maps from coefficients to jets, for Q points in e elements of p points."""
@@ -29,6 +33,8 @@ class Jets(eqx.Module):
     """Which of the Q points this is; padding repeats the first of the element."""
     mask: Float[Array, "e p"]
     """1, or 0 for padding."""
+    buckets: tuple[tuple[int, int, int], ...] = eqx.field(static=True)
+    """Elements `start` to `stop` have at most U basis functions: `(start, stop, U)`."""
 
 
 def jet_values(jets: Jets, w: Float[Array, "KC t"]) -> Float[Array, "e p J t"]:
@@ -47,6 +53,10 @@ def in_order(jets: Jets, values: Float[Array, "e p t"], k: int) -> Float[Array, 
     return jnp.zeros((k, values.shape[2])).at[jets.index].add(values)
 
 
+def bucket_columns(jets: Jets) -> list[Int[Array, "e U"]]:
+    return [jets.columns[start:stop, :U] for start, stop, U in jets.buckets]
+
+
 def second_derivative_pairs(m: int) -> list[tuple[int, int]]:
     """Order of the second derivatives in a jet: (0,0), (0,1), ..., (m-1,m-1)."""
     return [(a, b) for a in range(m) for b in range(a, m)]
@@ -59,9 +69,10 @@ def jets_of(
     second_forms: Float[Array, "Q m m s"],
 ) -> Jets:
     """Full jets of `basis` at `points`. Runs once, on the host."""
-    index, mask, near = _elements(basis, np.asarray(points), points_per_element=16)
+    elements = _elements(basis, np.asarray(points), POINTS_IN_ELEMENT)
+    index, mask, near = map(jnp.asarray, elements)
     matrices = _jet_rows(basis, points[index], frames[index], second_forms[index], near)
-    return Jets(matrices, _columns(basis, near), index, mask)
+    return Jets(matrices, _columns(basis, near), index, mask, _buckets(near, basis))
 
 
 def value_jets(
@@ -69,13 +80,22 @@ def value_jets(
 ) -> Jets:
     """Values only. Shapes depend on the number of points and, as far as possible, on
     `energy_jets`, not on where the points lie: new data reuse a compiled program."""
-    p = 4
-    elements = min(len(points), (len(points) + (p - 1) * len(basis.centres)) // p)
+    p = DATA_IN_ELEMENT
     overlap = energy_jets.columns.shape[1] // basis.size
-    least = (elements, p, overlap)
-    index, mask, near = _elements(basis, np.asarray(points), p, least)
+    index, mask, near = map(jnp.asarray, _elements(basis, np.asarray(points), p, overlap))
     matrices = _value_rows(basis, points[index], near)
-    return Jets(matrices, _columns(basis, near), index, mask)
+    columns = _columns(basis, near)
+    return Jets(matrices, columns, index, mask, ((0, *columns.shape),))
+
+
+def _buckets(near, basis: LocalPolynomials) -> tuple[tuple[int, int, int], ...]:
+    e = len(near)
+    count = 1 if e < BUCKET // 2 else max(4, -(-e // BUCKET))
+    edges = np.linspace(0, e, count + 1).astype(int)
+    return tuple(
+        (int(start), int(stop), int(np.sum(near[stop - 1] >= 0)) * basis.size)
+        for start, stop in zip(edges[:-1], edges[1:])
+    )
 
 
 def _columns(basis: LocalPolynomials, near) -> Int[Array, "e U"]:
@@ -114,54 +134,47 @@ def _elements(
     basis: LocalPolynomials,
     points: np.ndarray,
     points_per_element: int,
-    least: tuple[int, int, int] = (0, 0, 0),
-) -> tuple[Int[Array, "e p"], Float[Array, "e p"], Int[Array, "e L"]]:
-    """Group points by their nearest centre, chunk the groups, join their centres: index,
-    mask and centres of each element. `least` are sizes e, p, L to fill up to; a whole
-    element of padding repeats the first, so that it is a valid place."""
-    centres, widths = np.asarray(basis.centres), np.asarray(basis.widths)
-    tree = KDTree(points)
-    supports = [
-        np.asarray(inside, dtype=int)
-        for inside in tree.query_ball_point(centres, widths * (1 - 1e-12))
-    ]
+    overlap: int = 0,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cells of neighbouring points, and the centres that reach each: index, mask and
+    centres (at least `overlap` places for them), elements with few centres first."""
+    cells = _bisect(points, np.arange(len(points)), points_per_element)
+    element = np.empty(len(points), dtype=int)
+    for e, cell in enumerate(cells):
+        element[cell] = e
     reached = np.zeros(len(points), dtype=bool)
-    nearest = np.zeros(len(points), dtype=int)
-    best = np.full(len(points), np.inf)
-    for i, inside in enumerate(supports):
-        scaled = np.linalg.norm(points[inside] - centres[i], axis=1) / widths[i]
-        closer = scaled < best[inside]
-        best[inside[closer]], nearest[inside[closer]] = scaled[closer], i
-        reached[inside] = True
+    near: list[list[int]] = [[] for _ in cells]
+    tree, widths = KDTree(points), np.asarray(basis.widths)
+    inside = tree.query_ball_point(np.asarray(basis.centres), widths * (1 - 1e-12))
+    for centre, supported in enumerate(inside):
+        reached[supported] = True
+        for e in np.unique(element[supported]):
+            near[e].append(centre)
     if not np.all(reached):
         raise ValueError(
             f"centres: {np.sum(~reached)} of {len(points)} points lie outside the "
             "support of every centre (no cover); use more centres or larger widths."
         )
-    order = np.argsort(nearest, kind="stable")
-    starts = np.flatnonzero(np.diff(nearest[order], prepend=-1))
-    groups = np.split(order, starts[1:])
-    chunks = [
-        chunk
-        for group in groups
-        for chunk in np.array_split(group, -(-len(group) // points_per_element))
-    ]
-    element = np.zeros(len(points), dtype=int)
-    for e, chunk in enumerate(chunks):
-        element[chunk] = e
-    centres_near: list[list[int]] = [[] for _ in chunks]
-    for i, inside in enumerate(supports):
-        for e in np.unique(element[inside]):
-            centres_near[e].append(i)
-    index, inside = _padded(chunks, [chunk[0] for chunk in chunks], least[1])
-    near, _ = _padded(centres_near, [-1] * len(chunks), least[2])
-    more = max(least[0] - len(chunks), 0)
-    mask = np.pad(inside.astype(float), ((0, more), (0, 0)))
-    index, near = (np.concatenate([a, a[:1].repeat(more, 0)]) for a in (index, near))
-    return jnp.asarray(index), jnp.asarray(mask), jnp.asarray(near)
+    order = sorted(range(len(cells)), key=lambda e: len(near[e]))
+    cells, near = [cells[e] for e in order], [near[e] for e in order]
+    index, filled = _padded(cells, [cell[0] for cell in cells])
+    centres, _ = _padded(near, [-1] * len(cells), overlap)
+    return index, filled.astype(float), centres
 
 
-def _padded(rows, fill, least: int) -> tuple[np.ndarray, np.ndarray]:
+def _bisect(points: np.ndarray, index: np.ndarray, largest: int) -> list[np.ndarray]:
+    """Halves of halves across the widest direction, until none holds more than `largest`
+    points: how many cells there are depends on the number of points only."""
+    if len(index) <= largest:
+        return [index]
+    axis = np.argmax(np.ptp(points[index], axis=0))
+    half = len(index) // 2
+    order = index[np.argsort(points[index, axis], kind="stable")]
+    parts = order[:half], order[half:]
+    return [cell for part in parts for cell in _bisect(points, part, largest)]
+
+
+def _padded(rows, fill, least: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Rows of equal length, each filled up with its `fill`; and what is not filling."""
     lengths = np.array([len(row) for row in rows])
     width = max(lengths.max(), least)

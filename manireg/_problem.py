@@ -7,7 +7,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import check_data, check_x64
 from ._domain import Domain, centres_of, discretise
-from ._jets import Jets, jets_of, value_jets
+from ._jets import Jets, bucket_columns, jets_of, value_jets
 from ._local_polynomials import LocalPolynomials, local_polynomials
 from ._sources import Ambient, Source, sampled_dim
 from ._sparse import Scatter, SparsityPattern, sparsity
@@ -36,8 +36,9 @@ class Problem(eqx.Module):
     y: Float[Array, "k t"]
     weights: Float[Array, " k"]
     pattern: SparsityPattern
-    energy_scatter: Scatter
-    data_scatter: Scatter
+    energy_scatters: tuple[Scatter, ...]
+    """One for each bucket of elements."""
+    data_scatters: tuple[Scatter, ...]
 
     @property
     def volume(self) -> Float[Array, ""]:
@@ -108,9 +109,11 @@ def assemble_problem(source, target, basis, domain: Domain, x, y, weights) -> Pr
         flat = jnp.zeros_like(domain.second_forms)
         free_jets = jets_of(basis, domain.points, domain.frames, flat)
     data_jets = value_jets(basis, x, energy_jets)
-    pattern, (energy_scatter, data_scatter) = sparsity(
-        [energy_jets.columns, data_jets.columns], len(basis.centres) * basis.size
+    families = bucket_columns(energy_jets), bucket_columns(data_jets)
+    pattern, scatters = sparsity(
+        [*families[0], *families[1]], len(basis.centres) * basis.size
     )
+    energy_scatters = scatters[: len(families[0])]
     return Problem(
         source=source,
         target=target,
@@ -123,6 +126,6 @@ def assemble_problem(source, target, basis, domain: Domain, x, y, weights) -> Pr
         y=y,
         weights=weights,
         pattern=pattern,
-        energy_scatter=energy_scatter,
-        data_scatter=data_scatter,
+        energy_scatters=energy_scatters,
+        data_scatters=scatters[len(energy_scatters) :],
     )

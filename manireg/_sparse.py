@@ -1,6 +1,8 @@
 """Sparse symmetric matrices of t x t blocks, with a pattern found once on the host, as a
 lineax operator."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -84,9 +86,9 @@ for _same in (lx.linearise, lx.materialise, lx.conj):
     _same.register(SparseSymmetric)(lambda operator: operator)
 
 
-def sparsity(families_of_columns: list[Int[Array, "e U"]], size: int):
+def sparsity(families_of_columns: Sequence[Int[Array, "e U"]], size: int):
     """Pattern of a sum of element matrices, each family given by its columns (negative:
-    padding). Returns the pattern and a `Scatter` for each family. Host."""
+    padding). Returns the pattern and a tuple with a `Scatter` for each family. Host."""
     families = []
     for columns in families_of_columns:
         columns = np.asarray(columns, dtype=np.int64)  # ascending, padding last
@@ -110,16 +112,25 @@ def sparsity(families_of_columns: list[Int[Array, "e U"]], size: int):
                 jnp.asarray(into[order], dtype=jnp.int32),
             )
         )
-    return SparsityPattern(rows, cols, size), scatters
+    return SparsityPattern(rows, cols, size), tuple(scatters)
 
 
 def scatter_add(
     blocks: Float[Array, "nnz t t"],
     scatter: Scatter,
-    elements: Float[Array, "e U t U t"],
+    elements: Float[Array, "e U pairs U"],
 ) -> Float[Array, "nnz t t"]:
-    """Add element matrices to the blocks of a pattern."""
-    t = elements.shape[-1]
-    flat = elements.transpose(0, 1, 3, 2, 4).reshape(-1, t, t)
+    """Add element matrices to the blocks of a pattern; of their components a, b only
+    a <= b are given, the others are those of the transposed entry."""
+    t = blocks.shape[-1]
+    e, U, pairs, _ = elements.shape
+    flat = elements.transpose(0, 1, 3, 2).reshape(-1, pairs)
+    element, entry = jnp.divmod(scatter.take, U * U)
+    mirrored = element * U * U + entry % U * U + entry // U
+    both = jnp.concatenate([flat[scatter.take], flat[mirrored]], axis=1)
+    a, b = np.triu_indices(t)
+    place = np.zeros((t, t), dtype=int)
+    place[b, a] = pairs + np.arange(pairs)
+    place[a, b] = np.arange(pairs)
     added = blocks.at[scatter.into]
-    return added.add(flat[scatter.take], indices_are_sorted=True, mode="drop")
+    return added.add(both[:, place], indices_are_sorted=True, mode="drop")

@@ -89,7 +89,7 @@ class PointCloud(AbstractManifold):
         distance, near = (
             np.asarray(a)[:, 1:] for a in found
         )  # without the point itself
-        check_sides(points, normals, near, distance)
+        check_sides(points, normals, near[:, :12], distance[:, :12])
         frames = np.linalg.svd(normals[:, None, :])[2][:, 1:, :].transpose(0, 2, 1)
         slopes, bendings = fitted_quadrics(points, normals, frames, near)
         if areas is None:
