@@ -16,6 +16,7 @@ from scipy.spatial import KDTree
 from scipy.stats import qmc
 
 from ._charts import Chart, chart_of
+from ._farthest_points import farthest_indices, farthest_points, graded_spacing
 from ._frames import tangent_frames
 from ._sources import Ambient, Source
 from .manifolds import AbstractManifold, PointCloud, Product, Sphere
@@ -39,13 +40,15 @@ class Domain(eqx.Module):
 
 
 _NODES_PER_SPACING = {1: 10, 2: 4}  # Gauss nodes a centre and axis; 3 from dimension 3
+_ON_CLOUD = 12  # points of a cloud per centre
 _CLOUD = 12  # random points of the cloud per quadrature point
 _TANGENT_SAMPLES = 256  # points per Voronoi cell volume
 
 
-def centres_of(source: Source, n: int, around=None) -> Domain:
+def centres_of(source: Source, n: int, around=None, graded: bool = False) -> Domain:
     """About `n` quasi-uniform points of `source`, boundary included, as basis centres.
     The weights are not meant for integration. Arguments as for `discretise`."""
+    _check_graded(source, around, graded)
     chart = chart_of(source, around)
     if chart is not None:
         spacings = _axis_counts(chart, n)
@@ -61,15 +64,16 @@ def centres_of(source: Source, n: int, around=None) -> Domain:
     if isinstance(source, Product):
         return _product_domain(source, n, around, centres_of)
     if isinstance(source, Ambient):
-        return _ambient(centres_of(source.manifold, n, around))
+        return _ambient(centres_of(source.manifold, n, around, graded))
     if isinstance(source, PointCloud):
-        return _of_cloud(source, n, around)
+        return _of_cloud(source, n, around, graded)
     return _quasi_uniform(source, n, with_weights=False)
 
 
-def discretise(source: Source, n: int, around=None) -> Domain:
+def discretise(source: Source, n: int, around=None, graded: bool = False) -> Domain:
     """Quadrature for a basis of about `n` centres: 10 points a centre on curves, 16 on
-    surfaces, 27 in dimension 3 (fewer hides stiff modes of the energy).
+    surfaces (12 on point clouds), 27 in dimension 3 (fewer hides stiff modes of the
+    energy).
 
     **Arguments:**
 
@@ -77,6 +81,8 @@ def discretise(source: Source, n: int, around=None) -> Domain:
     - `n`: the number of centres of the basis.
     - `around`: data points (flattened). Unbounded sources (Euclidean space, cylinder,
       SPD matrices) are cut to the box that holds them, which is then required.
+    - `graded`: points denser near `around`, weights in proportion to spacing^{4-m}, with
+      the same sum; point clouds only.
 
     Point clouds give points of theirs and share out the areas; `Ambient` takes over what
     its manifold gives. Sources with a global chart use composite Gauss-Legendre rules
@@ -85,6 +91,7 @@ def discretise(source: Source, n: int, around=None) -> Domain:
     `random_points`, weighted by the volume of their Voronoi cells, measured in the tangent
     space.
     """
+    _check_graded(source, around, graded)
     per_axis = _NODES_PER_SPACING.get(source.dim, 3)
     chart = chart_of(source, around)
     if chart is not None:
@@ -105,10 +112,19 @@ def discretise(source: Source, n: int, around=None) -> Domain:
     if isinstance(source, Product):
         return _product_domain(source, n, around, discretise)
     if isinstance(source, Ambient):
-        return _ambient(discretise(source.manifold, n, around))
+        return _ambient(discretise(source.manifold, n, around, graded))
     if isinstance(source, PointCloud):
-        return _of_cloud(source, n * per_axis**source.dim, None)
+        return _of_cloud(source, n * _ON_CLOUD, around, graded)
     return _quasi_uniform(source, n * per_axis**source.dim, with_weights=True)
+
+
+def _check_graded(source: Source, around, graded: bool) -> None:
+    surface = source.manifold if isinstance(source, Ambient) else source
+    if graded and not (isinstance(surface, PointCloud) and around is not None):
+        raise ValueError(
+            "graded: only for sources that are point clouds, and near data; found "
+            f"{type(surface).__name__}. Leave it out."
+        )
 
 
 def _axis_counts(chart: Chart, n: int) -> list[int]:
@@ -186,14 +202,21 @@ def _quasi_uniform(source: Source, n: int, with_weights: bool) -> Domain:
     return with_second_forms(source, points, frames, weights)
 
 
-def _of_cloud(source: PointCloud, n: int, around) -> Domain:
+def _of_cloud(source: PointCloud, n: int, around, graded: bool) -> Domain:
     """`n` points of the cloud, farthest points from those next to `around`; the area of
     every point of the cloud goes to the nearest of them."""
     cloud = np.asarray(source.points)
-    first = [] if around is None else np.asarray(source.nearest(jnp.asarray(around)))
-    index = farthest_indices(cloud, min(n, len(cloud)), first)
+    first, spacing = [], np.ones(len(cloud))
+    if around is not None:
+        first = np.asarray(source.nearest(jnp.asarray(around)))
+    if graded:
+        spacing = graded_spacing(cloud, around)
+    index = farthest_indices(cloud, min(n, len(cloud)), first, spacing)
     nearest = KDTree(cloud[index]).query(cloud)[1]
-    weights = np.bincount(nearest, np.asarray(source.areas), minlength=len(index))
+    areas = np.asarray(source.areas)
+    local_lam = spacing ** (4 - source.dim)
+    areas = areas * local_lam * np.sum(areas) / np.sum(areas * local_lam)
+    weights = np.bincount(nearest, areas, minlength=len(index))
     points = source.points[index]
     frames = tangent_frames(source, points)
     return with_second_forms(source, points, frames, weights)
@@ -211,24 +234,6 @@ def _fibonacci(n: int) -> np.ndarray:
     z, longitude = 1 - 2 * i / n, np.pi * (1 + 5**0.5) * i
     rho = np.sqrt(1 - z**2)
     return np.stack([rho * np.cos(longitude), rho * np.sin(longitude), z], axis=1)
-
-
-def farthest_points(cloud: np.ndarray, n: int) -> np.ndarray:
-    """`n` points of `cloud`, each the farthest from those before it."""
-    return cloud[farthest_indices(cloud, n)]
-
-
-def farthest_indices(cloud: np.ndarray, n: int, first=()) -> np.ndarray:
-    """Indices of the distinct points `first` (default: point 0) and then, up to `n`, of
-    the points of `cloud` that are farthest from all before."""
-    first = np.unique(np.asarray(first, dtype=int)) if len(first) else np.zeros(1, int)
-    chosen = np.append(first, np.zeros(max(0, n - len(first)), dtype=int))
-    distance = np.full(len(cloud), np.inf)
-    for i, new in enumerate(chosen):
-        if i >= len(first):
-            chosen[i] = new = np.argmax(distance)
-        distance = np.minimum(distance, np.sum((cloud - cloud[new]) ** 2, axis=1))
-    return chosen
 
 
 def _voronoi_volumes(source, points, frames) -> np.ndarray:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 from tqdm.auto import tqdm
@@ -18,10 +19,13 @@ from ._linear_solvers import DirectSolvers, direct_solvers
 from ._minimise import minimise, newton_minimiser, stage_of
 from ._objective import at_data
 from ._problem import Problem
-from ._selection import CrossValidation, lambda_grid
+from ._selection import CrossValidation, lambda_of_wavelength
 from ._solve import free_solution, solve
+from ._sources import sampled_dim
 
-VALUES = 8  # of a default grid
+LONGEST = 2.7  # wavelength at the top of the default grid, in spacings of the data
+VALUES, RATIO = 5, 3.4  # of it: down to wavelengths of 0.8 spacings
+EXTENSIONS = 2  # at most, where the best value sits on an edge
 RTOL = 1e-4  # relative decrease at which the fits of the path stop
 
 
@@ -40,34 +44,63 @@ def leave_one_out(
     weight. Exact for linear problems; one fit a lambda, where `cross_validate` takes one
     for each fold, too. The lambdas are followed downwards, each from its neighbour.
 
-    **Arguments:** `problem` from `make_problem`; `lams` the grid, default eight values of
-    `lambda_grid`; `progress` show a progress bar. **Returns** what `cross_validate` does,
-    with one fold a datum: `scores` are the predicted lengths of the residuals.
+    **Arguments:** `problem` from `make_problem`; `lams` the grid, default five values of
+    wavelengths (see `lambda_grid`) from 2.7 to 0.8 spacings of the data, extended (at most
+    twice) where the best value sits on an edge; `progress` show a progress bar.
+    **Returns** what `cross_validate` does, with one fold a datum: `scores` are the
+    predicted lengths of the residuals.
     """
-    if lams is None:
-        grid = lambda_grid(problem, VALUES)
-    else:
+    given = lams is not None
+    if given:
         check_lam(lams, "lams")
-        grid = jnp.sort(jnp.asarray(lams, float).ravel())
+        grid = np.sort(np.asarray(lams, float).ravel())[::-1]
+    else:
+        grid = np.asarray(_grid(problem))[::-1]
     solvers = direct_solvers(linear_algebra)
-    w = eqx.filter_jit(free_solution)(problem, grid[-1], solvers)
-    fits = []
-    for lam in tqdm(grid[::-1], "leave-one-out", disable=not progress, leave=False):
-        w, *scored = _fit_and_score(problem, lam, w, solvers, max_steps)
-        fits.append((jax.block_until_ready(w), *scored))
-    paths, scores, converged = (jnp.stack(a[::-1]) for a in zip(*fits, strict=True))
-    best = jnp.argmin(jnp.mean(scores, axis=1))
+    w = eqx.filter_jit(free_solution)(problem, grid[0], solvers)
+    path: dict[float, tuple] = {}
+
+    def visit(lam: float, w):
+        w, errors, converged = _fit_and_score(problem, lam, w, solvers, max_steps)
+        path[lam] = w, np.asarray(errors), bool(converged)
+        bar.update()
+        return w
+
+    with tqdm(total=len(grid), desc="leave-one-out", disable=not progress) as bar:
+        for lam in grid:
+            w = visit(float(lam), w)
+        for _ in range(0 if given else EXTENSIONS):
+            best = min(path, key=lambda lam: path[lam][1].mean())
+            if best not in (min(path), max(path)):
+                break
+            further = best * (RATIO if best == max(path) else 1 / RATIO)
+            visit(further, path[best][0])
+    visited = sorted(path)
+    scores = np.stack([path[lam][1] for lam in visited], axis=1)
+    converged = np.broadcast_to([path[lam][2] for lam in visited], scores.shape)
+    best = visited[np.argmin(scores.mean(axis=0))]
     model = solve(
         problem,
-        grid[best],
+        best,
         starts=(),
-        warm=paths[best],
+        warm=path[best][0],
         rtol=RTOL,
         linear_algebra=linear_algebra,
         throw=False,
     )
-    converged = jnp.broadcast_to(converged, scores.T.shape)
-    return CrossValidation(grid[best], grid, scores.T, converged, model)
+    return CrossValidation(
+        jnp.asarray(best),
+        jnp.asarray(visited),
+        jnp.asarray(scores),
+        jnp.asarray(converged),
+        model,
+    )
+
+
+def _grid(problem: Problem) -> Float[Array, " lams"]:
+    spacing = (problem.volume / len(problem.y)) ** (1 / sampled_dim(problem.source))
+    longest = lambda_of_wavelength(problem, LONGEST * spacing)
+    return longest * RATIO ** -jnp.arange(VALUES)[::-1]
 
 
 @eqx.filter_jit

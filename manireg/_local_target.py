@@ -13,6 +13,9 @@ from ._problem import Problem
 from .manifolds import PointCloud
 from .manifolds._quadric_patch import QuadricPatch
 
+HOLD = 1.1  # a patch is kept until another point is nearer by this factor
+MOST_BEND = 0.5  # distance to a patch in units of its radius of curvature
+
 
 class LocalTarget(eqx.Module):
     """Batched patches, arranged like the jets."""
@@ -23,14 +26,39 @@ class LocalTarget(eqx.Module):
     """Indices of their points in the cloud."""
 
 
-def local_target(problem: Problem, w: Float[Array, "KC t"]) -> LocalTarget | None:
-    """Around the map with coefficients `w`; None if the target needs no such thing."""
+def local_target(
+    problem: Problem, w: Float[Array, "KC t"], held: LocalTarget | None = None
+) -> LocalTarget | None:
+    """Around the map with coefficients `w`; None if the target needs no such thing. A
+    patch of `held` stays where its point is still about the nearest: two patches that
+    each send the map to the other would be exchanged for ever."""
     cloud = problem.target
     if not isinstance(cloud, PointCloud):
         return None
     families = (problem.energy_jets, problem.data_jets)
-    energy, data = (cloud.nearest(jet_values(jets, w)[:, :, 0]) for jets in families)
-    return LocalTarget(cloud.patches(energy), cloud.patches(data), (energy, data))
+    values = [jet_values(jets, w)[:, :, 0] for jets in families]
+    nearest = [cloud.nearest(psi) for psi in values]
+    if held is not None:
+        gap = lambda psi, i: jnp.linalg.norm(psi - cloud.points[i], axis=-1)
+        nearest = [
+            jnp.where(gap(psi, old) < HOLD * gap(psi, new), old, new)
+            for psi, old, new in zip(values, held.nearest, nearest)
+        ]
+    energy, data = (
+        _flattened(cloud.patches(i), psi) for i, psi in zip(nearest, values, strict=True)
+    )
+    return LocalTarget(energy, data, (nearest[0], nearest[1]))
+
+
+def _flattened(patches: QuadricPatch, psi: Float[Array, "e p t"]) -> QuadricPatch:
+    """Bent no more than the distance to `psi` allows: beyond a patch's centres of
+    curvature the closest point is not smooth. As Psi settles on N the bending returns."""
+    gap = jnp.linalg.norm(psi - patches.origin, axis=-1)
+    bend = jnp.linalg.norm(patches.bending, axis=(-2, -1)) * gap
+    share = jnp.minimum(1.0, MOST_BEND / jnp.maximum(bend, 1e-300))
+    return eqx.tree_at(
+        lambda p: p.bending, patches, share[..., None, None] * patches.bending
+    )
 
 
 def moved(old: LocalTarget, new: LocalTarget) -> Float[Array, ""]:

@@ -7,11 +7,12 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import check_data, check_x64
 from ._domain import Domain, centres_of, discretise
+from ._farthest_points import local_spacings
 from ._jets import Jets, bucket_columns, jets_of, value_jets
 from ._local_polynomials import LocalPolynomials, local_polynomials
 from ._sources import Ambient, Source, sampled_dim
 from ._sparse import Scatter, SparsityPattern, sparsity
-from .manifolds import AbstractManifold
+from .manifolds import AbstractManifold, PointCloud
 
 
 class Problem(eqx.Module):
@@ -55,6 +56,7 @@ def make_problem(
     centres: int | None = None,
     degree: int | None = None,
     width: float | None = None,
+    graded: bool = False,
 ) -> Problem:
     r"""Discretise the regression of y on x.
 
@@ -74,7 +76,13 @@ def make_problem(
     - `degree`: of the local polynomials, at least 1; default 2, on `Ambient` sources 1
       (linear in all directions).
     - `width`: support radius of a local polynomial in units of the spacing
-      $(\mathrm{vol}(M)/K)^{1/m}$; default 2.5 on curves, 2.2 above.
+      $(\mathrm{vol}(M)/K)^{1/m}$, on point clouds of the local spacing of the centres;
+      default 2.5 on curves, 2.2 above, 1.5 on `Ambient` sources.
+    - `graded`: for point clouds: let resolution and smoothness follow the data. The
+      centres' spacing h grows like 1 + d/D with the distance d to the nearest input (D:
+      the mean of that distance among the inputs), and lambda in proportion to
+      $h^{4-m}$, so that bending within one spacing costs the same everywhere; its
+      mean stays `lam`. Energies are then integrals with that weight.
 
     **Raises** ValueError for float32 mode, wrong shapes, NaN, points off the source or
     the target, too few or repeated pairs.
@@ -93,10 +101,14 @@ def make_problem(
         low, high = {1: (30, 100), 2: (50, 400)}.get(m, (60, 400))
         centres = int(np.clip(len(x), low, high))
     if width is None:
-        width = 2.5 if m == 1 else 2.2
-    domain = discretise(source, centres, x)
-    nodes = centres_of(source, centres, x)
-    spacing = (jnp.sum(domain.weights) / len(nodes.points)) ** (1 / m)
+        flat = 1.5 if isinstance(source, Ambient) else 2.2
+        width = 2.5 if m == 1 else flat
+    domain = discretise(source, centres, x, graded)
+    nodes = centres_of(source, centres, x, graded)
+    if isinstance(source.manifold if isinstance(source, Ambient) else source, PointCloud):
+        spacing = local_spacings(np.asarray(nodes.points), m)
+    else:
+        spacing = (jnp.sum(domain.weights) / len(nodes.points)) ** (1 / m)
     basis = local_polynomials(nodes, width * spacing, degree)
     return assemble_problem(source, target, basis, domain, x, y, weights)
 

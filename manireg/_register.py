@@ -16,6 +16,8 @@ from ._sources import Ambient
 from .manifolds import PointCloud
 from .manifolds._meshes import as_mesh
 
+PAD = 8192  # targets are padded to multiples: similar ones share compiled programs
+
 Surface = trimesh.Trimesh | PointCloud | str | Path
 
 
@@ -92,11 +94,12 @@ def register(
         )
     problem = make_problem(
         Ambient(cloud) if geometry == "ambient" else cloud,
-        onto,
+        onto.padded(-(-len(onto.points) // PAD) * PAD),
         x,
         y,
         centres=centres,
         degree=1,
+        graded=True,
     )
     nothing = jnp.zeros((problem.pattern.size, 3))
     if not evaluate(problem.basis, nothing, jnp.asarray(start))[1]:

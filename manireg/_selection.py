@@ -50,8 +50,8 @@ def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
     the scale of the target. Below the spacing the data say nothing.
     """
     size = problem.volume ** (1 / sampled_dim(problem.source))
-    low = jnp.log(_lambda_of_wavelength(problem, _spacing(problem)))
-    high = jnp.log(_lambda_of_wavelength(problem, 2 * size))
+    low = jnp.log(lambda_of_wavelength(problem, _spacing(problem)))
+    high = jnp.log(lambda_of_wavelength(problem, 2 * size))
     return jnp.exp(jnp.linspace(low, high, n))
 
 
@@ -59,7 +59,7 @@ def _spacing(problem: Problem):
     return (problem.volume / len(problem.y)) ** (1 / sampled_dim(problem.source))
 
 
-def _lambda_of_wavelength(problem: Problem, wavelength):
+def lambda_of_wavelength(problem: Problem, wavelength):
     return (wavelength / (2 * np.pi)) ** 4 / problem.volume
 
 
@@ -137,7 +137,7 @@ def _paths(problem: Problem, training, lams, solvers, max_steps: int, bar):
     coefficients, and whether Newton converged."""
     newton = newton_minimiser(solvers, COARSE)
     anchor = jnp.argmin(
-        jnp.abs(jnp.log(lams / _lambda_of_wavelength(problem, _spacing(problem))))
+        jnp.abs(jnp.log(lams / lambda_of_wavelength(problem, _spacing(problem))))
     )
     position = jnp.arange(len(lams))
     upwards = position < len(lams) - anchor  # then on from the anchor, downwards

@@ -115,6 +115,27 @@ class PointCloud(AbstractManifold):
         points, normals, areas = mesh_samples(mesh)
         return cls(points, normals, areas=areas, **options)
 
+    def padded(self, size: int) -> "PointCloud":
+        """The same surface with arrays of `size` points, the last ones out of reach and
+        without area: clouds of the same size share compiled programs."""
+        more = size - len(self.points)
+        if more < 0:
+            raise ValueError(f"size: at least {len(self.points)}, found {size}.")
+        grown = {}
+        for name in ("points", "normals", "frames", "slopes", "bendings", "areas"):
+            array = getattr(self, name)
+            grown[name] = jnp.concatenate([array, array[:1].repeat(more, 0)])
+        extent = jnp.max(jnp.ptp(self.points, axis=0))
+        away = 1e3 * extent * (1 + jnp.arange(more) / max(more, 1))
+        grown["points"] = grown["points"].at[len(self.points) :].add(away[:, None])
+        grown["areas"] = grown["areas"].at[len(self.points) :].set(0.0)
+        grown["tree"] = jaxkd.build_tree(grown["points"])
+        return eqx.tree_at(
+            lambda cloud: tuple(getattr(cloud, name) for name in grown),
+            self,
+            tuple(grown.values()),
+        )
+
     @property
     def dim(self) -> int:
         return self.points.shape[1] - 1
