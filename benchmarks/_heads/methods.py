@@ -1,0 +1,76 @@
+"""The methods: each sends the source's vertices to the target, from landmarks alone."""
+
+import numpy as np
+import trimesh
+
+import manireg as mr
+
+from .data import Task
+
+
+def register(task: Task, geometry: str) -> tuple[np.ndarray, float]:
+    """Positions, and the lambda that leave-one-out over the landmarks chose."""
+    found = mr.register(
+        task.source, task.target, task.vertices, task.positions, geometry=geometry
+    )
+    assert found.cv is not None
+    return found.vertices, float(found.cv.lam)
+
+
+def affine(task: Task) -> np.ndarray:
+    """The least-squares affine map, then the closest point."""
+    x = np.asarray(task.source.vertices)
+    ones = lambda points: np.column_stack([points, np.ones(len(points))])
+    matrix = np.linalg.lstsq(ones(x[task.vertices]), task.positions, rcond=None)[0]
+    return np.asarray(_cloud(task).project(ones(x) @ matrix))
+
+
+def volume_spline(task: Task, kernel: str) -> np.ndarray:
+    x = np.asarray(task.source.vertices)
+    warp = mr.baselines.volume_spline(
+        x, x[task.vertices], task.positions, _cloud(task), kernel=kernel
+    )
+    return warp.projected
+
+
+def rkhs_warp(task: Task) -> np.ndarray:
+    x = np.asarray(task.source.vertices)
+    normals = np.asarray(task.source.vertex_normals)
+    warp = mr.baselines.rkhs_warp(
+        x, normals, x[task.vertices], task.positions, _cloud(task)
+    )
+    return warp.projected
+
+
+def nricp(task: Task, variant: str) -> np.ndarray:
+    """Non-rigid iterative closest points as trimesh has them, with default steps, started
+    from the affine map of the landmarks."""
+    source = task.source.copy()
+    x = np.asarray(source.vertices)[task.vertices]
+    ones = lambda points: np.column_stack([points, np.ones(len(points))])
+    matrix = np.linalg.lstsq(ones(x), task.positions, rcond=None)[0]
+    source.vertices = ones(np.asarray(source.vertices)) @ matrix
+    run = getattr(trimesh.registration, f"nricp_{variant}")
+    moved = run(
+        source,
+        task.target,
+        source_landmarks=task.vertices,
+        target_positions=task.positions,
+    )
+    return np.asarray(moved)
+
+
+def _cloud(task: Task) -> mr.PointCloud:
+    return mr.PointCloud.from_mesh(task.target)
+
+
+METHODS = {
+    "affine": affine,
+    "rbf_r2logr": lambda task: volume_spline(task, "thin_plate_spline"),
+    "rbf_r": lambda task: volume_spline(task, "linear"),
+    "rkhs_warp": rkhs_warp,
+    "manireg_ambient": lambda task: register(task, "ambient"),
+    "manireg_intrinsic": lambda task: register(task, "intrinsic"),
+    "nricp_sumner": lambda task: nricp(task, "sumner"),
+    "nricp_amberg": lambda task: nricp(task, "amberg"),
+}

@@ -1,0 +1,73 @@
+"""The second experiment of Steinke and Hein 2008 on open data: dense correspondence of
+heads from landmarks, scored against the known correspondence. One command runs what is
+missing and writes table and pictures anew:
+
+    python benchmarks/heads.py
+
+Each registered head is a line of `heads.csv` in `--out`, so the command can be stopped and
+given again. The heads are found by `MANIREG_DATA`. Every method runs in a process of its
+own, so that its peak memory is seen; seconds include what a method compiles.
+"""
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+
+from tqdm import tqdm
+
+DATA = ("ict", "makehuman")
+METHODS = (
+    "affine", "rbf_r2logr", "rbf_r", "rkhs_warp", "manireg_ambient", "manireg_intrinsic",
+    "nricp_sumner", "nricp_amberg",
+)  # fmt: skip
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    add = parser.add_argument
+    add("--data", nargs="+", default=DATA, choices=DATA)
+    add("--landmarks", nargs="+", type=int, default=(55, 20), choices=(55, 20))
+    add("--methods", nargs="+", default=METHODS, choices=METHODS)
+    add("--targets", nargs="+", type=int, default=range(10))
+    add("--out", type=Path, default=Path(__file__).parent / "results")
+    add("--worker", action="store_true", help=argparse.SUPPRESS)
+    return parser.parse_args()
+
+
+def main() -> None:
+    options = parse()
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.worker:
+        from _heads.runs import run
+
+        run(options)
+        return
+    from _heads.report import write_report
+    from _heads.runs import read_runs
+
+    groups = [
+        (data, landmarks, method)
+        for landmarks in options.landmarks
+        for data in options.data
+        for method in options.methods
+    ]
+    with tqdm(groups, unit="group") as bar:
+        for data, landmarks, method in bar:
+            bar.set_postfix_str(f"{data}, {landmarks} landmarks, {method}")
+            done = read_runs(options.out)
+            missing = [
+                str(target)
+                for target in options.targets
+                if (data, landmarks, method, target) not in done
+            ]
+            if missing:
+                command = [sys.executable, __file__, "--worker", "--data", data]
+                command += ["--landmarks", str(landmarks), "--methods", method]
+                command += ["--out", str(options.out), "--targets", *missing]
+                subprocess.run(command, check=True)
+    write_report(options.out)
+
+
+if __name__ == "__main__":
+    main()
