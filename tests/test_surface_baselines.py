@@ -12,7 +12,7 @@ from manireg._domain import discretise
 from manireg.baselines._surface_terms import SurfaceTerms
 from manireg.baselines._wu_kernel import centres_around, kernel_matrix, wu
 
-RULES = dict(levels=3, samples=200)
+RULES = dict(levels=2, samples=200, width=1.2)
 
 
 def sphere(n):
@@ -64,10 +64,9 @@ def test_volume_spline_reproduces_affine_maps(points, kernel):
     np.testing.assert_allclose(warp.vertices, affine(points), atol=2e-3)
 
 
-@pytest.mark.parametrize("kernel", ["linear", "thin_plate_spline"])
-def test_volume_spline_interpolates(points, bent_ball, kernel):
+def test_volume_spline_interpolates(points, bent_ball):
     x = some(points)
-    warp = baselines.volume_spline(points, x, bent(x), bent_ball, kernel=kernel)
+    warp = baselines.volume_spline(points, x, bent(x), bent_ball)
     np.testing.assert_allclose(warp.ambient(x), bent(x), atol=1e-12)
     assert np.abs(bent_ball.signed_distance(jnp.asarray(warp.vertices))).max() < 1e-3
     np.testing.assert_array_equal(warp(points), warp.vertices)
@@ -194,8 +193,9 @@ def test_rkhs_warp_does_not_depend_on_the_unit_of_length(points, bent_ball):
     x = some(points)
     there = lambda x: 100 * bent(x) + 30
     warp = baselines.rkhs_warp(points, points, x, bent(x), bent_ball, **RULES)
+    rules = RULES | dict(width=100 * RULES["width"])
     large = baselines.rkhs_warp(
-        100 * points, points, 100 * x, there(x), cloud_of(there), **RULES
+        100 * points, points, 100 * x, there(x), cloud_of(there), **rules
     )
     expected = 100 * warp.deformed + 30
     np.testing.assert_allclose(large.deformed, expected, atol=1e-2)
@@ -203,12 +203,12 @@ def test_rkhs_warp_does_not_depend_on_the_unit_of_length(points, bent_ball):
 
 def test_rkhs_warp_meets_landmarks_as_their_weight_grows(points, bent_ball):
     x, gaps = some(points), []
-    for weight in (1e3, 1e5, 1e7):
+    for weight in (1e3, 1e6):
         warp = baselines.rkhs_warp(
             points, points, x, bent(x), bent_ball, landmark_weight=weight, **RULES
         )
         gaps.append(np.linalg.norm(warp.ambient(x) - bent(x), axis=1).mean())
-    assert gaps[0] > gaps[1] > gaps[2] and gaps[2] < 1e-4
+    assert gaps[1] < 1e-2 * gaps[0] and gaps[1] < 1e-4
 
 
 def test_rkhs_warp_of_landmarks_alone_is_kernel_ridge_regression(points, bent_ball):
@@ -287,6 +287,9 @@ def test_bad_options_of_the_rkhs_warp(points, ball, options, message):
 
 def test_bad_normals_and_kernels(points, ball):
     x = some(points)
+    equator = x * [1, 1, 0] / np.linalg.norm(x[:, :2], axis=1, keepdims=True)
+    with pytest.raises(ValueError, match="target_landmarks: all in one plane"):
+        baselines.rkhs_warp(points, points, x, equator, ball)
     with pytest.raises(ValueError, match="source_normals: 400 have no length"):
         baselines.rkhs_warp(points, 0 * points, x, x, ball)
     with pytest.raises(ValueError, match="source_normals: expected 400 points"):
