@@ -18,3 +18,9 @@ from ._projected_thin_plate import (
     ProjectedThinPlate as ProjectedThinPlate,
     projected_thin_plate as projected_thin_plate,
 )
+from ._rkhs_warp import rkhs_warp as rkhs_warp
+from ._surface_warp import (
+    SurfaceWarp as SurfaceWarp,
+    held_out_errors as held_out_errors,
+)
+from ._volume_spline import volume_spline as volume_spline
