@@ -30,7 +30,7 @@ def volume_spline(task: Task, kernel: str) -> np.ndarray:
     warp = mr.baselines.volume_spline(
         x, x[task.vertices], task.positions, _cloud(task), kernel=kernel
     )
-    return warp.projected
+    return warp.vertices
 
 
 def rkhs_warp(task: Task) -> np.ndarray:
@@ -39,7 +39,7 @@ def rkhs_warp(task: Task) -> np.ndarray:
     warp = mr.baselines.rkhs_warp(
         x, normals, x[task.vertices], task.positions, _cloud(task)
     )
-    return warp.projected
+    return warp.vertices
 
 
 def nricp(task: Task, variant: str) -> np.ndarray:
