@@ -48,7 +48,7 @@ def leave_one_out(
     wavelengths (see `lambda_grid`) from 2.7 to 0.8 spacings of the data, extended (at most
     twice) where the best value sits on an edge; `progress` show a progress bar.
     **Returns** what `cross_validate` does, with one fold a datum: `scores` are the
-    predicted lengths of the residuals.
+    predicted lengths of the residuals, times the data's relative weights.
     """
     given = lams is not None
     if given:
@@ -108,6 +108,7 @@ def _fit_and_score(problem: Problem, lam, w, solvers: DirectSolvers, max_steps: 
     newton = newton_minimiser(solvers, RTOL)
     w, gamma, _, result, _ = minimise(problem, lam, w, "projected", newton, max_steps)
     errors = left_out_errors(problem, lam, gamma, w, solvers)
+    errors = errors * problem.weights / jnp.mean(problem.weights)
     return w, errors, result == optx.RESULTS.successful
 
 

@@ -4,14 +4,13 @@ import numpy as np
 import trimesh
 
 import manireg as mr
-
-from .data import Task
+from manireg.datasets import HeadPair as Task
 
 
 def register(task: Task, geometry: str) -> tuple[np.ndarray, float]:
     """Positions, and the lambda that leave-one-out over the landmarks chose."""
     found = mr.register(
-        task.source, task.target, task.vertices, task.positions, geometry=geometry
+        task.source, task.target, task.source_landmarks, task.target_landmarks, geometry=geometry
     )
     assert found.cv is not None
     return found.vertices, float(found.cv.lam)
@@ -21,14 +20,14 @@ def affine(task: Task) -> np.ndarray:
     """The least-squares affine map, then the closest point."""
     x = np.asarray(task.source.vertices)
     ones = lambda points: np.column_stack([points, np.ones(len(points))])
-    matrix = np.linalg.lstsq(ones(x[task.vertices]), task.positions, rcond=None)[0]
+    matrix = np.linalg.lstsq(ones(x[task.source_landmarks]), task.target_landmarks, rcond=None)[0]
     return np.asarray(_cloud(task).project(ones(x) @ matrix))
 
 
 def volume_spline(task: Task, kernel: str) -> np.ndarray:
     x = np.asarray(task.source.vertices)
     warp = mr.baselines.volume_spline(
-        x, x[task.vertices], task.positions, _cloud(task), kernel=kernel
+        x, x[task.source_landmarks], task.target_landmarks, _cloud(task), kernel=kernel
     )
     return warp.vertices
 
@@ -37,7 +36,7 @@ def rkhs_warp(task: Task) -> np.ndarray:
     x = np.asarray(task.source.vertices)
     normals = np.asarray(task.source.vertex_normals)
     warp = mr.baselines.rkhs_warp(
-        x, normals, x[task.vertices], task.positions, _cloud(task)
+        x, normals, x[task.source_landmarks], task.target_landmarks, _cloud(task)
     )
     return warp.vertices
 
@@ -46,16 +45,16 @@ def nricp(task: Task, variant: str) -> np.ndarray:
     """Non-rigid iterative closest points as trimesh has them, with default steps, started
     from the affine map of the landmarks."""
     source = task.source.copy()
-    x = np.asarray(source.vertices)[task.vertices]
+    x = np.asarray(source.vertices)[task.source_landmarks]
     ones = lambda points: np.column_stack([points, np.ones(len(points))])
-    matrix = np.linalg.lstsq(ones(x), task.positions, rcond=None)[0]
+    matrix = np.linalg.lstsq(ones(x), task.target_landmarks, rcond=None)[0]
     source.vertices = ones(np.asarray(source.vertices)) @ matrix
     run = getattr(trimesh.registration, f"nricp_{variant}")
     moved = run(
         source,
         task.target,
-        source_landmarks=task.vertices,
-        target_positions=task.positions,
+        source_landmarks=task.source_landmarks,
+        target_positions=task.target_landmarks,
     )
     return np.asarray(moved)
 

@@ -31,25 +31,26 @@ def run(options: Namespace) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from .data import Heads
+    from manireg.datasets import heads
+
     from .methods import METHODS
 
     (data,), (landmarks,), (method,) = options.data, options.landmarks, options.methods
-    heads = Heads(data)
     for target in options.targets:
+        task = heads(data, target, landmarks)
         start = time.perf_counter()
-        result = METHODS[method](heads.task(target, landmarks))
+        result = METHODS[method](task)
         seconds = time.perf_counter() - start
         vertices, lam = result if isinstance(result, tuple) else (result, None)
-        errors = heads.errors(target, vertices)
-        if target == 0 or landmarks == 55:
-            pictured = options.out / "heads_vertices"
-            pictured.mkdir(exist_ok=True)
-            file = pictured / f"{data}_{landmarks}_{method}_{target}.npy"
+        errors = np.linalg.norm(vertices - task.truth, axis=1)
+        if landmarks == 55:
+            for_pictures = options.out / "heads_vertices"
+            for_pictures.mkdir(exist_ok=True)
+            file = for_pictures / f"{data}_{method}_{target}.npy"
             np.save(file, vertices.astype(np.float32))
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
         row = {"data": data, "landmarks": landmarks, "method": method, "target": target}
-        row |= {name: f"{value:.4f}" for name, value in heads.scores(errors).items()}
+        row |= {name: f"{value:.4f}" for name, value in scores(task, errors).items()}
         row |= {"lam": "" if lam is None else f"{lam:.4g}"}
         row |= {"seconds": f"{seconds:.1f}", "peak_gb": f"{peak:.2f}"}
         path = options.out / "heads.csv"
@@ -59,3 +60,17 @@ def run(options: Namespace) -> None:
             if fresh:
                 writer.writeheader()
             writer.writerow(row)
+
+
+def scores(task, errors: np.ndarray) -> dict[str, float]:
+    """Means by area: over the whole head, the face's interior, and near landmarks."""
+    everywhere = np.ones(len(errors), bool)
+    parts = {
+        "whole": everywhere,
+        "interior": task.interior,
+        "near_landmarks": task.near_landmarks,
+    }
+    return {
+        name: float(np.average(errors[part], weights=task.area[part]))
+        for name, part in parts.items()
+    }
