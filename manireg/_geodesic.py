@@ -55,7 +55,8 @@ def geodesic(
 
     The start is the shortest of a few relaxed curves, on a `PointCloud` a shortest path
     in the graph of neighbours. The curve found is a local minimum next to it: inside the
-    injectivity radius the shortest curve, beyond it usually.
+    injectivity radius the shortest curve, beyond it usually (on a point cloud another way
+    round may win that is a few percent longer: so are paths in the graph).
 
     **Arguments:**
 
