@@ -20,7 +20,7 @@ def cloud_paths(
     points, p, q = (np.asarray(a) for a in (cloud.points, p, q))
     tree = KDTree(points)
     graph = _graph(tree, np.asarray(cloud.normals), NEIGHBOURS[cloud.dim])
-    first, last = (tree.query(a)[1] for a in (p, q))
+    first, last = (np.atleast_1d(tree.query(a)[1]) for a in (p, q))
     paths = np.zeros((len(p), segments + 1, points.shape[1]))
     for start in np.unique(first):
         distance, before = dijkstra(graph, indices=start, return_predecessors=True)
@@ -44,13 +44,14 @@ def cloud_paths(
 def _graph(tree: KDTree, normals, neighbours: int) -> sp.csr_array:
     """Distances of neighbours on the same side of the surface."""
     points = tree.data
-    distance, near = tree.query(points, k=min(neighbours + 1, len(points)))
+    found = tree.query(points, k=min(neighbours + 1, len(points)))
+    distance, near = (np.asarray(a) for a in found)
     here = np.repeat(np.arange(len(points)), near.shape[1] - 1)
     there, length = near[:, 1:].ravel(), distance[:, 1:].ravel()
     same = np.sum(normals[here] * normals[there], axis=1) > 0
     rows, cols = here[same], there[same]
     graph = sp.csr_array((length[same], (rows, cols)), shape=(len(points),) * 2)
-    return graph.maximum(graph.T)
+    return sp.csr_array(graph.maximum(graph.T))
 
 
 def _equal_steps(corners, segments: int):
