@@ -14,6 +14,7 @@ from ._energy import (
     thin_plate_energy as thin_plate_energy,
 )
 from ._fit import fit as fit
+from ._geodesic import Geodesic as Geodesic, geodesic as geodesic
 from ._leave_one_out import leave_one_out as leave_one_out
 from ._objective import Energies as Energies
 from ._problem import Problem as Problem, make_problem as make_problem

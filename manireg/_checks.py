@@ -1,5 +1,6 @@
 """Bad input is named here, once, at the public boundary: what was found, what to do."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -100,6 +101,12 @@ def check_lam(lam, name="lam"):
         )
 
 
+@eqx.filter_jit
+def projected(space: AbstractManifold, points):
+    """Closest points, compiled once a shape: iterations recompile outside of `jit`."""
+    return space.project(points)
+
+
 def _check_on(name, space, points):
     if isinstance(space, Ambient):
         space = space.manifold
@@ -111,7 +118,7 @@ def _check_on(name, space, points):
         where, cure = "outside", "widen it or drop them"
         worst = ""
     else:
-        gap = np.asarray(space.project(jnp.asarray(points))) - points
+        gap = np.asarray(projected(space, jnp.asarray(points))) - points
         distance = np.linalg.norm(gap.reshape(len(points), -1), axis=1)
         size = np.sqrt(np.mean(np.sum(points.reshape(len(points), -1) ** 2, axis=1)))
         outside = ~(distance <= _tolerance(space, max(size, 1e-300)))

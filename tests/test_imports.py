@@ -13,7 +13,7 @@ import manireg
 FLOORS: Sequence[
     str
 ] = """_numerics _progress manifolds _sources _frames _charts _checks
-_domain _energy _local_polynomials _jets _densities _sparse _linear_solvers _problem
+_cloud_paths _geodesic _domain _energy _local_polynomials _jets _densities _sparse _linear_solvers _problem
 _local_target _objective _hessian _newton _continuation _minimise _solve _folds _selection
 _leave_one_out _register _fit baselines datasets plot __init__ _cli_tables
 _cli_errors _cli_register _cli __main__""".split()

@@ -208,9 +208,9 @@ def _shoot_jvp(primals, tangents):
     return v, turn + x.reshape(shape)
 
 
-def _relaxed_start(manifold: AbstractManifold, p: Array, q: Array) -> Array:
-    """First guess of log_p(q): direction and length of the shortest of a few discrete
-    curves, relaxed from the chord and from bent chords (those pass holes otherwise)."""
+def relaxed_curve(manifold: AbstractManifold, p: Array, q: Array) -> Array:
+    """The shortest `(9, *point_shape)` of a few discrete curves from p to q, relaxed from
+    the chord and from bent chords (those pass holes otherwise)."""
     times = jnp.linspace(0.0, 1.0, _SEGMENTS + 1)[1:-1].reshape(-1, *[1] * p.ndim)
     bends = jax.random.normal(jax.random.key(0), (_CURVES, *p.shape), p.dtype)
     bends = bends.at[0].multiply(0.01)  # not 0: symmetry could hold it on a saddle
@@ -226,13 +226,23 @@ def _relaxed_start(manifold: AbstractManifold, p: Array, q: Array) -> Array:
         return manifold.project((curve[:, :-2] + curve[:, 2:]) / 2)
 
     inner = jax.lax.fori_loop(0, _SWEEPS, sweep, inner)
-    steps = jnp.diff(whole(inner), axis=1).reshape(_CURVES, _SEGMENTS, -1)
-    lengths = jnp.sum(jnp.sqrt(jnp.sum(steps**2, axis=2)), axis=1)
-    best = jnp.nanargmin(lengths)
-    direction = manifold.tangent_projection(p, steps[best, 0].reshape(p.shape))
+    curves = whole(inner)
+    lengths = jax.vmap(_chord_length)(curves)
+    return curves[jnp.nanargmin(lengths)]
+
+
+def _relaxed_start(manifold: AbstractManifold, p: Array, q: Array) -> Array:
+    """First guess of log_p(q): direction and length of a relaxed curve."""
+    curve = relaxed_curve(manifold, p, q)
+    direction = manifold.tangent_projection(p, curve[1] - curve[0])
     size = jnp.sqrt(jnp.sum(direction**2))
-    scale = lengths[best] / jnp.where(size > 0, size, 1.0)
+    scale = _chord_length(curve) / jnp.where(size > 0, size, 1.0)
     return direction * jnp.where(size > 0, scale, 0.0)
+
+
+def _chord_length(curve: Array) -> Array:
+    steps = jnp.diff(curve, axis=0).reshape(len(curve) - 1, -1)
+    return jnp.sum(jnp.sqrt(jnp.sum(steps**2, axis=1)))
 
 
 def implicit_solution(
