@@ -1,4 +1,4 @@
-"""Quasi-uniform or graded subsets of point sets: each point the farthest from the others."""
+"""Quasi-uniform or graded subsets: each point the farthest from those before it."""
 
 import numpy as np
 from scipy.spatial import KDTree

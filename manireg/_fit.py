@@ -1,9 +1,10 @@
 """The one-call path."""
 
-from typing import Any
+from typing import Any, Literal
 
 from jaxtyping import ArrayLike, ScalarLike
 
+from ._geodesic_loss import solve_geodesic
 from ._problem import make_problem
 from ._selection import cross_validate
 from ._solve import RegressionMap, solve
@@ -22,6 +23,7 @@ def fit(
     centres: int | None = None,
     degree: int | None = None,
     width: float | None = None,
+    loss: Literal["chord", "geodesic"] = "chord",
     **options,
 ) -> RegressionMap:
     r"""Learn a smooth map `source -> target` from pairs (x_i, y_i):
@@ -32,6 +34,10 @@ def fit(
     **Arguments:** `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`
     as in `make_problem`; `lam` lambda, or None to choose it by `cross_validate`; other
     options go to `solve` (with `lam`) or `cross_validate` (without).
+
+    - `loss`: on a `PointCloud`, d_N is the chord (default: fast, right to third order) or
+      the length of the shortest curve (`"geodesic"`, a few solves more, for data far from
+      the map; `lam` has to be given). Other targets have d_N as it is.
 
     **Returns:** a `RegressionMap`: call it on new points; `.energies`, `.lam`,
     `.result`, `.stats`.
@@ -44,6 +50,11 @@ def fit(
         "degree": degree,
         "width": width,
     }
+    if loss not in ("chord", "geodesic") or (loss == "geodesic" and lam is None):
+        raise ValueError(
+            f"loss: expected 'chord' or, with a given `lam`, 'geodesic'; found {loss!r}."
+        )
     if lam is None:
         return cross_validate(source, target, x, y, **data, **options).model
-    return solve(make_problem(source, target, x, y, **data), lam, **options)
+    minimise = solve_geodesic if loss == "geodesic" else solve
+    return minimise(make_problem(source, target, x, y, **data), lam, **options)

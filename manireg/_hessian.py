@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._densities import geodesic_loss, off_manifold_residual, project_flat
-from ._jets import Jets, jet_values
+from ._jets import jet_values
 from ._objective import (
     Stage,
     at_data,
@@ -63,7 +63,9 @@ def exact(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
 
     def hessian(values, jets, rows):
         gradient = jax.grad(lambda jets: jnp.sum(values(jets)))
-        columns = _derivatives(lambda jets: gradient(jets)[:, :, np.asarray(rows)], jets, rows)
+        columns = _derivatives(
+            lambda jets: gradient(jets)[:, :, np.asarray(rows)], jets, rows
+        )
         return jnp.moveaxis(columns.reshape(*columns.shape[:3], -1), 0, 2)
 
     energy, data = stage.problem.energy_jets, stage.problem.data_jets

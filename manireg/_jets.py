@@ -82,7 +82,9 @@ def value_jets(
     `energy_jets`, not on where the points lie: new data reuse a compiled program."""
     p = DATA_IN_ELEMENT
     overlap = energy_jets.columns.shape[1] // basis.size
-    index, mask, near = map(jnp.asarray, _elements(basis, np.asarray(points), p, overlap))
+    index, mask, near = map(
+        jnp.asarray, _elements(basis, np.asarray(points), p, overlap)
+    )
     matrices = _value_rows(basis, points[index], near)
     columns = _columns(basis, near)
     return Jets(matrices, columns, index, mask, ((0, *columns.shape),))
@@ -139,7 +141,7 @@ def _elements(
     """Cells of neighbouring points, and the centres that reach each: index, mask and
     centres (at least `overlap` places for them), elements with few centres first."""
     cells = _bisect(points, np.arange(len(points)), points_per_element)
-    element = np.empty(len(points), dtype=int)
+    element = np.zeros(len(points), dtype=int)
     for e, cell in enumerate(cells):
         element[cell] = e
     reached = np.zeros(len(points), dtype=bool)

@@ -45,7 +45,8 @@ def local_target(
             for psi, old, new in zip(values, held.nearest, nearest)
         ]
     energy, data = (
-        _flattened(cloud.patches(i), psi) for i, psi in zip(nearest, values, strict=True)
+        _flattened(cloud.patches(i), psi)
+        for i, psi in zip(nearest, values, strict=True)
     )
     return LocalTarget(energy, data, (nearest[0], nearest[1]))
 

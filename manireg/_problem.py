@@ -105,7 +105,9 @@ def make_problem(
         width = 2.5 if m == 1 else flat
     domain = discretise(source, centres, x, graded)
     nodes = centres_of(source, centres, x, graded)
-    if isinstance(source.manifold if isinstance(source, Ambient) else source, PointCloud):
+    if isinstance(
+        source.manifold if isinstance(source, Ambient) else source, PointCloud
+    ):
         spacing = local_spacings(np.asarray(nodes.points), m)
     else:
         spacing = (jnp.sum(domain.weights) / len(nodes.points)) ** (1 / m)

@@ -10,7 +10,11 @@ from manireg.datasets import HeadPair as Task
 def register(task: Task, geometry: str) -> tuple[np.ndarray, float]:
     """Positions, and the lambda that leave-one-out over the landmarks chose."""
     found = mr.register(
-        task.source, task.target, task.source_landmarks, task.target_landmarks, geometry=geometry
+        task.source,
+        task.target,
+        task.source_landmarks,
+        task.target_landmarks,
+        geometry=geometry,
     )
     assert found.cv is not None
     return found.vertices, float(found.cv.lam)
@@ -18,10 +22,14 @@ def register(task: Task, geometry: str) -> tuple[np.ndarray, float]:
 
 def affine(task: Task) -> np.ndarray:
     """The least-squares affine map, then the closest point."""
+    return np.asarray(_cloud(task).project(_affine_image(task)))
+
+
+def _affine_image(task: Task) -> np.ndarray:
     x = np.asarray(task.source.vertices)
-    ones = lambda points: np.column_stack([points, np.ones(len(points))])
-    matrix = np.linalg.lstsq(ones(x[task.source_landmarks]), task.target_landmarks, rcond=None)[0]
-    return np.asarray(_cloud(task).project(ones(x) @ matrix))
+    ones = np.column_stack([x, np.ones(len(x))])
+    at_landmarks = ones[task.source_landmarks]
+    return ones @ np.linalg.lstsq(at_landmarks, task.target_landmarks, rcond=None)[0]
 
 
 def volume_spline(task: Task, kernel: str) -> np.ndarray:
@@ -45,10 +53,7 @@ def nricp(task: Task, variant: str) -> np.ndarray:
     """Non-rigid iterative closest points as trimesh has them, with default steps, started
     from the affine map of the landmarks."""
     source = task.source.copy()
-    x = np.asarray(source.vertices)[task.source_landmarks]
-    ones = lambda points: np.column_stack([points, np.ones(len(points))])
-    matrix = np.linalg.lstsq(ones(x), task.target_landmarks, rcond=None)[0]
-    source.vertices = ones(np.asarray(source.vertices)) @ matrix
+    source.vertices = _affine_image(task)
     run = getattr(trimesh.registration, f"nricp_{variant}")
     moved = run(
         source,

@@ -36,7 +36,9 @@ def write_pictures(out: Path) -> None:
             surface(ax, source, errors, (0.0, LIMIT), colours="magma")
             mean = scores(pair, errors)
             ax.set_title(f"{title}\n{mean['whole']:.2f} / {mean['interior']:.2f} mm")
-        scale = matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(0, LIMIT), "magma")
+        scale = matplotlib.cm.ScalarMappable(
+            matplotlib.colors.Normalize(0, LIMIT), "magma"
+        )
         bar = figure.colorbar(scale, ax=list(axes[0]), shrink=0.8)
         bar.set_label("error, mm")
         half = 0.5 * np.asarray(source.vertices) + 0.5 * images[-1]

@@ -58,7 +58,15 @@ def _table(runs, data: str, landmarks: int) -> str:
         peak = max(float(r["peak_gb"]) for r in own.values())
         seconds = np.median([float(r["seconds"]) for r in own.values()])
         errors = [f"{mean(f):.2f}" for f in ("whole", "interior", "near_landmarks")]
-        row = [name, *errors, *ratios, better, f"{seconds:.0f}", f"{peak:.1f}", len(own)]
+        row = [
+            name,
+            *errors,
+            *ratios,
+            better,
+            f"{seconds:.0f}",
+            f"{peak:.1f}",
+            len(own),
+        ]
         lines.append("| " + " | ".join(map(str, row)) + " |")
     return "\n".join([*lines, ""])
 

@@ -1,11 +1,11 @@
 """Data to try the library on: simulated, bundled, and loaders of the shared tables."""
 
+from ._heads import HeadPair as HeadPair, heads as heads
 from ._line_on_sphere import (
     LineOnSphere as LineOnSphere,
     line_on_sphere as line_on_sphere,
     von_mises_fisher as von_mises_fisher,
 )
-from ._heads import HeadPair as HeadPair, heads as heads
 from ._loaders import (
     besse2002 as besse2002,
     diffusion_tensors as diffusion_tensors,
