@@ -7,6 +7,7 @@ import pytest
 from test_point_clouds import sphere_cloud, torus_cloud
 
 import manireg as mr
+from manireg._domain import discretise
 
 
 def chord_lengths(points):
@@ -189,3 +190,28 @@ def test_bad_clouds():
     apart = mr.PointCloud(both, np.tile(cloud.normals, (2, 1)))
     with pytest.raises(ValueError, match="320 of 640 points hang together"):
         mr.geodesic(apart, both[0], both[-1])
+
+
+@pytest.mark.slow
+def test_geodesic_loss_is_that_of_the_sphere():
+    """Data far from the map: chords pull less than shortest curves do."""
+    points = np.asarray(discretise(mr.Sphere(2), 250).points)
+    cloud, interval = mr.PointCloud(points, points), mr.Interval(0.0, 1.0)
+    x = np.linspace(0, 1, 12)
+    y = np.stack([np.cos(2 * x), np.sin(2 * x), 0 * x], axis=1)
+    y = y + 0.6 * np.random.default_rng(0).normal(size=y.shape)
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    exact = mr.fit(interval, mr.Sphere(2), x, y, 0.1, centres=8)(x)
+    gap = {
+        loss: np.abs(mr.fit(interval, cloud, x, y, 0.1, centres=8, loss=loss)(x) - exact)
+        for loss in ("chord", "geodesic")
+    }
+    assert gap["chord"].max() > 1e-2
+    assert gap["geodesic"].max() < 1e-3
+
+
+def test_geodesic_loss_needs_lambda():
+    with pytest.raises(ValueError, match="loss"):
+        mr.fit(
+            mr.Interval(0.0, 1.0), mr.Sphere(2), [0.0], [[0.0, 0, 1]], loss="geodesic"
+        )
