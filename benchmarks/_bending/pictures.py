@@ -7,7 +7,7 @@ import trimesh
 
 from manireg import plot
 
-from .data import Data, errors, make_data
+from .data import Data, errors, make_data, mean
 from .runs import Task
 
 SHOWN = ("linear", "thin plate", "intrinsic")
@@ -23,15 +23,15 @@ def write_picture(out: Path, shape: str, k: int) -> bool:
     images = {m: np.load(file).astype(float) for m, file in files.items()}
     wrong = {m: errors(data, image)[0] for m, image in images.items()}
     limit = float(np.percentile(wrong["thin plate"], 98))
-    picture = plot.figure(7.2, 2.6)
+    picture = plot.figure(7.2, 2.4)
     panels = picture.subplots(1, 1 + len(SHOWN))
     plot.surface(panels[0], two_sided(data, data.vertices), **VIEW)
-    panels[0].set_title(f"source, {k} landmarks")
+    panels[0].set_title(f"source\n{k} landmarks")
     for ax, method in zip(panels[1:], SHOWN, strict=True):
         values = wrong[method][data.faces].mean(axis=1)
         mesh = two_sided(data, images[method])
         plot.surface(ax, mesh, np.tile(values, 2), (0.0, limit), **VIEW)
-        ax.set_title(f"{method}: {1000 * np.average(wrong[method]):.1f}/1000")
+        ax.set_title(f"{method}\n{1000 * mean(data, wrong[method]):.1f}/1000")
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 

@@ -40,8 +40,9 @@ def write_report(path: Path, runs: Runs, tasks: Set[Task]) -> None:
     lines += [
         "## Ratios to the splines",
         "",
-        "Error of the intrinsic fit over that of the baseline on the same data: geometric "
-        f"mean over the seeds (smallest to largest). **Bold**: at most {GOAL:g}.",
+        "Error in space of the intrinsic fit over that of the baseline on the same data:",
+        "geometric mean over the seeds (smallest to largest).",
+        f"**Bold**: at most {GOAL:g}.",
         "",
         *ratio_table(runs, cells),
         "",
