@@ -17,10 +17,10 @@ from ._hessian import gauss_newton
 from ._jets import in_order, jet_values
 from ._linear_solvers import DirectSolvers, direct_solvers
 from ._minimise import minimise, newton_minimiser, stage_of
-from ._objective import at_data
+from ._objective import at_data, objective
 from ._problem import Problem
 from ._selection import CrossValidation, lambda_of_wavelength
-from ._solve import free_solution, solve
+from ._solve import RegressionMap, free_solution
 from ._sources import sampled_dim
 
 LONGEST = 2.7  # wavelength at the top of the default grid, in spacings of the data
@@ -57,14 +57,16 @@ def leave_one_out(
     else:
         grid = np.asarray(_grid(problem))[::-1]
     solvers = direct_solvers(linear_algebra)
-    w = eqx.filter_jit(free_solution)(problem, grid[0], solvers)
+    w = eqx.filter_jit(free_solution)(problem, jnp.asarray(grid[0]), solvers)
     path: dict[float, tuple] = {}
 
     def visit(lam: float, w):
-        w, errors, converged = _fit_and_score(problem, lam, w, solvers, max_steps)
-        path[lam] = w, np.asarray(errors), bool(converged)
+        # a Python number would be compiled into the program
+        traced = jnp.asarray(lam)
+        model, errors = _fit_and_score(problem, traced, w, solvers, max_steps)
+        path[lam] = model, np.asarray(errors)
         bar.update()
-        return w
+        return model.coefficients
 
     with tqdm(total=len(grid), desc="leave-one-out", disable=not progress) as bar:
         for lam in grid:
@@ -74,26 +76,19 @@ def leave_one_out(
             if best not in (min(path), max(path)):
                 break
             further = best * (RATIO if best == max(path) else 1 / RATIO)
-            visit(further, path[best][0])
+            visit(further, path[best][0].coefficients)
     visited = sorted(path)
     scores = np.stack([path[lam][1] for lam in visited], axis=1)
-    converged = np.broadcast_to([path[lam][2] for lam in visited], scores.shape)
+    successful = [
+        bool(path[lam][0].result == optx.RESULTS.successful) for lam in visited
+    ]
     best = visited[np.argmin(scores.mean(axis=0))]
-    model = solve(
-        problem,
-        best,
-        starts=(),
-        warm=path[best][0],
-        rtol=RTOL,
-        linear_algebra=linear_algebra,
-        throw=False,
-    )
     return CrossValidation(
         jnp.asarray(best),
         jnp.asarray(visited),
         jnp.asarray(scores),
-        jnp.asarray(converged),
-        model,
+        jnp.broadcast_to(jnp.asarray(successful), scores.shape),
+        path[best][0],
     )
 
 
@@ -106,10 +101,15 @@ def _grid(problem: Problem) -> Float[Array, " lams"]:
 @eqx.filter_jit
 def _fit_and_score(problem: Problem, lam, w, solvers: DirectSolvers, max_steps: int):
     newton = newton_minimiser(solvers, RTOL)
-    w, gamma, _, result, _ = minimise(problem, lam, w, "projected", newton, max_steps)
+    w, gamma, _, result, stats = minimise(
+        problem, lam, w, "projected", newton, max_steps
+    )
+    _, energies = objective(w, stage_of(problem, lam, gamma, "projected", w))
+    model = RegressionMap(
+        problem.source, problem.target, problem.basis, w, lam, energies, result, stats
+    )
     errors = left_out_errors(problem, lam, gamma, w, solvers)
-    errors = errors * problem.weights / jnp.mean(problem.weights)
-    return w, errors, result == optx.RESULTS.successful
+    return model, errors * problem.weights / jnp.mean(problem.weights)
 
 
 def left_out_errors(

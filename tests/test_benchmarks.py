@@ -23,3 +23,21 @@ def test_line_on_sphere_resumes(tmp_path):
     assert (tmp_path / "line_on_sphere_polar.png").stat().st_size > 10_000
     subprocess.run([*command, *cell], check=True)
     assert file.read_text() == before
+
+
+@pytest.mark.slow
+def test_bending_resumes(tmp_path):
+    """The splines on one data set; a second command finds nothing left to run."""
+    command = [sys.executable, BENCHMARKS / "bending.py", "--out", tmp_path]
+    cell = ["--shapes", "roll", "--landmarks", "25", "--seeds", "1"]
+    cell += ["--methods", "linear", "thin plate", "affine"]
+    file = tmp_path / "bending.csv"
+    subprocess.run([*command, *cell], check=True)
+    before = file.read_text()
+    errors = {r["method"]: r for r in csv.DictReader(before.splitlines())}
+    assert len(errors) == 3
+    assert 0 < float(errors["thin plate"]["mean_along"]) < 0.02
+    assert float(errors["affine"]["mean_error"]) > 0.1
+    assert "| roll | 25 |" in (tmp_path / "bending.md").read_text()
+    subprocess.run([*command, *cell], check=True)
+    assert file.read_text() == before
