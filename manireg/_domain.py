@@ -210,7 +210,7 @@ def _of_cloud(source: PointCloud, n: int, around, graded: bool) -> Domain:
     if around is not None:
         first = np.asarray(source.nearest(jnp.asarray(around)))
     if graded:
-        spacing = graded_spacing(cloud, around)
+        spacing = graded_spacing(cloud, np.asarray(around))
     index = farthest_indices(cloud, min(n, len(cloud)), first, spacing)
     nearest = KDTree(cloud[index]).query(cloud)[1]
     areas = np.asarray(source.areas)

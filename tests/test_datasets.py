@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import manireg as mr
 from manireg import datasets
 
 MEAN = np.array([0.48, -0.6, 0.64])
@@ -258,3 +259,21 @@ def test_read_table_says_what_is_wrong(tmp_path, text, message):
     file.write_text(text)
     with pytest.raises(ValueError, match=message):
         datasets.read_table(file)
+
+
+def test_heads():
+    with pytest.raises(ValueError, match="makehuman"):
+        datasets.heads("mine")
+    try:
+        pair = datasets.heads("ict", 3, landmarks=20)
+    except FileNotFoundError:
+        pytest.skip("the shared data are not here")
+    assert pair.source_landmarks.shape == (20,) and pair.target_landmarks.shape == (
+        20,
+        3,
+    )
+    at = pair.truth[pair.source_landmarks]
+    assert np.allclose(at, pair.target_landmarks, atol=1e-3)
+    on_target = mr.PointCloud.from_mesh(pair.target).project(jnp.asarray(at))
+    gap = np.linalg.norm(np.asarray(on_target) - at, axis=1)
+    assert np.median(gap) < 0.05 and gap.max() < 1.0  # some are on the rims of the eyes

@@ -8,6 +8,10 @@ import trimesh
 
 import manireg as mr
 from manireg._domain import discretise
+from manireg._jets import jet_values
+from manireg._linear_solvers import direct_solvers
+from manireg._local_target import local_target, moved
+from manireg._solve import free_solution
 from manireg.manifolds._quadric_patch import QuadricPatch
 
 
@@ -208,3 +212,31 @@ def test_bad_meshes(tmp_path):
     )
     with pytest.raises(ValueError, match="all 1 triangles are degenerate"):
         mr.PointCloud.from_mesh(line)
+
+
+def test_padding_changes_nothing():
+    cloud = sphere_cloud(500)
+    padded = cloud.padded(700)
+    p = jnp.array([[0.3, 0.4, 1.2], [-2.0, 0.1, 0.0]])
+    assert padded.points.shape == (700, 3)
+    assert np.array_equal(padded.project(p), cloud.project(p))
+    assert np.isclose(jnp.sum(padded.areas), jnp.sum(cloud.areas))
+    with pytest.raises(ValueError, match="size"):
+        cloud.padded(400)
+
+
+def test_patches_near_a_map():
+    """Held while they are about nearest, and flat enough for the closest point to be
+    smooth where the map is."""
+    cloud = sphere_cloud(500)
+    x = sphere_points(160)[:40]
+    problem = mr.make_problem(mr.Sphere(2), cloud, x, x, centres=40)
+    w = 0.4 * free_solution(problem, 1e-3, direct_solvers())
+    local = local_target(problem, w)
+    psi = jet_values(problem.energy_jets, w)[:, :, 0]
+    gap = np.linalg.norm(psi - local.at_quadrature.origin, axis=-1)
+    bend = np.linalg.norm(local.at_quadrature.bending, axis=(-2, -1))
+    assert gap.max() > 0.55 and np.max(gap * bend) < 0.5 + 1e-9
+    assert float(moved(local, local_target(problem, 1.001 * w, local))) == 0.0
+    turned = local_target(problem, w[::-1], local)
+    assert float(moved(local, turned)) > 0.5

@@ -143,3 +143,22 @@ def test_command_names_mistakes(tmp_path):
     arguments = ["register", tmp_path / "ball.ply", tmp_path / "ball.ply"]
     run = command(*arguments, "--landmarks", tmp_path / "pairs.csv")
     assert run.exit_code == 2 and "has no column `sx`" in run.output
+
+
+@pytest.mark.slow
+def test_open_surfaces_and_a_target_too_small():
+    """A cap onto a smaller cap with a hole: points that belong beyond the edge stay near
+    the target's, nothing is lost."""
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    z = ball.triangles_center[:, 2]
+    source = ball.submesh([np.flatnonzero(z > -0.2)], append=True)
+    keep = (z > 0.1) & (np.linalg.norm(ball.triangles_center[:, :2], axis=1) > 0.2)
+    target = ball.submesh([np.flatnonzero(keep)], append=True)
+    at = np.asarray(target.vertices)[::40]
+    nearest = np.linalg.norm(source.vertices[:, None] - at, axis=2).argmin(axis=0)
+    found = mr.register(source, target, nearest, at, 1e-3, centres=80)
+    assert np.all(np.isfinite(found.vertices))
+    assert np.allclose(np.linalg.norm(found.vertices, axis=1), 1, atol=0.05)
+    kept = source.vertices[:, 2] > 0.2
+    gap = np.linalg.norm(found.vertices - source.vertices, axis=1)
+    assert np.mean(gap[kept]) < 0.02 and np.max(gap) < 0.3
