@@ -276,4 +276,4 @@ def test_heads():
     assert np.allclose(at, pair.target_landmarks, atol=1e-3)
     on_target = mr.PointCloud.from_mesh(pair.target).project(jnp.asarray(at))
     gap = np.linalg.norm(np.asarray(on_target) - at, axis=1)
-    assert np.median(gap) < 0.05 and gap.max() < 1.0  # some are on the rims of the eyes
+    assert np.median(gap) < 0.1 and gap.max() < 1.0  # some are on the rims of the eyes
