@@ -71,7 +71,9 @@ def register(
     - `lam`: lambda, or None to choose it by `leave_one_out` over the landmarks.
     - `geometry`: `"ambient"` (default) penalises bending in all directions of space,
       `"intrinsic"` the Eells energy of the surface itself, which lets it bend freely.
-    - `centres`: about how many local polynomials; cost and detail grow with them.
+    - `centres`: about how many local polynomials; cost and detail grow with them. They
+      and the smoothness follow the landmarks (`graded` in `make_problem`), so lambda and
+      `.model.energies` are means with that weight.
 
     No alignment is needed before: affine maps cost nothing at the start. **Raises**
     ValueError for landmarks that are too few, off the surface, NaN or on one line, and
