@@ -12,13 +12,15 @@ def farthest_points(cloud: np.ndarray, n: int) -> np.ndarray:
     return cloud[farthest_indices(cloud, n)]
 
 
-def farthest_indices(cloud: np.ndarray, n: int, first=(), spacing=1.0) -> np.ndarray:
+def farthest_indices(
+    cloud: np.ndarray, n: int, first=(), spacing: np.ndarray | float = 1.0
+) -> np.ndarray:
     """Indices of the distinct points `first` (default: point 0) and then, up to `n`, of
     the points of `cloud` that are farthest from all before, in units of `spacing`."""
     first = np.unique(np.asarray(first, dtype=int)) if len(first) else np.zeros(1, int)
     chosen = np.append(first, np.zeros(max(0, n - len(first)), dtype=int))
     distance = np.full(len(cloud), np.inf)
-    scale = np.broadcast_to(spacing, len(cloud)) ** -2.0
+    scale = np.broadcast_to(np.asarray(spacing), len(cloud)) ** -2.0
     for i, new in enumerate(chosen):
         if i >= len(first):
             chosen[i] = new = np.argmax(distance * scale)

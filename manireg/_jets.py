@@ -87,7 +87,8 @@ def value_jets(
     )
     matrices = _value_rows(basis, points[index], near)
     columns = _columns(basis, near)
-    return Jets(matrices, columns, index, mask, ((0, *columns.shape),))
+    e, U = columns.shape
+    return Jets(matrices, columns, index, mask, ((0, e, U),))
 
 
 def _buckets(near, basis: LocalPolynomials) -> tuple[tuple[int, int, int], ...]:

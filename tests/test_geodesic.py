@@ -213,7 +213,6 @@ def test_geodesic_loss_is_that_of_the_sphere():
 
 
 def test_geodesic_loss_needs_lambda():
+    x, y = np.zeros(1), np.array([[0.0, 0, 1]])
     with pytest.raises(ValueError, match="loss"):
-        mr.fit(
-            mr.Interval(0.0, 1.0), mr.Sphere(2), [0.0], [[0.0, 0, 1]], loss="geodesic"
-        )
+        mr.fit(mr.Interval(0.0, 1.0), mr.Sphere(2), x, y, loss="geodesic")
