@@ -11,8 +11,8 @@ from manireg.plot import surface
 
 from .runs import scores
 
-SHOWN = ("affine", "rbf_r", "rkhs_warp", "manireg_ambient")
-TITLES = ("affine", "RBF, r", "RKHS warp", "manireg")
+SHOWN = ("affine", "rbf_r2logr", "rbf_r", "manireg_ambient")
+TITLES = ("affine", "RBF, r² log r", "RBF, r", "manireg")
 LIMIT = 5.0  # mm
 TARGET = 1
 
