@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from ._sources import Ambient, Box, Interval, Source
+from ._sources import Box, Interval, Source, sampled
 from .manifolds import AbstractManifold, PointCloud
 
 ON_MANIFOLD = 1e-6  # allowed distance of data to a manifold, relative to their size
@@ -108,8 +108,7 @@ def projected(space: AbstractManifold, points):
 
 
 def _check_on(name, space, points):
-    if isinstance(space, Ambient):
-        space = space.manifold
+    space = sampled(space)
     if isinstance(space, Box | Interval):
         lower, upper = space.bounds
         slack = 1e-9 * (upper - lower)

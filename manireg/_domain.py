@@ -18,7 +18,7 @@ from scipy.stats import qmc
 from ._charts import Chart, chart_of
 from ._farthest_points import farthest_indices, farthest_points, graded_spacing
 from ._frames import tangent_frames
-from ._sources import Ambient, Source
+from ._sources import Ambient, Source, sampled
 from .manifolds import AbstractManifold, PointCloud, Product, Sphere
 
 
@@ -119,7 +119,7 @@ def discretise(source: Source, n: int, around=None, graded: bool = False) -> Dom
 
 
 def _check_graded(source: Source, around, graded: bool) -> None:
-    surface = source.manifold if isinstance(source, Ambient) else source
+    surface = sampled(source)
     if graded and not (isinstance(surface, PointCloud) and around is not None):
         raise ValueError(
             "graded: only for sources that are point clouds, and near data; found "

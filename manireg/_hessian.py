@@ -23,6 +23,8 @@ from ._objective import (
 )
 from ._sparse import Scatter, SparseSymmetric, scatter_add
 
+VALUE = np.array([0])  # the row of a jet that the loss sees
+
 
 def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
     """The loss contributes 2 Dpi^T Dpi: exact for a perfect fit, and where N is positively
@@ -46,7 +48,7 @@ def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
             jet_values(energy, w),
             _rows(stage),
         ),
-        gram(lambda j: at_data(stage, landed, j), jet_values(data, w), [0]),
+        gram(lambda j: at_data(stage, landed, j), jet_values(data, w), VALUE),
     )
 
 
@@ -63,9 +65,7 @@ def exact(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
 
     def hessian(values, jets, rows):
         gradient = jax.grad(lambda jets: jnp.sum(values(jets)))
-        columns = _derivatives(
-            lambda jets: gradient(jets)[:, :, np.asarray(rows)], jets, rows
-        )
+        columns = _derivatives(lambda jets: gradient(jets)[:, :, rows], jets, rows)
         return jnp.moveaxis(columns.reshape(*columns.shape[:3], -1), 0, 2)
 
     energy, data = stage.problem.energy_jets, stage.problem.data_jets
@@ -77,7 +77,7 @@ def exact(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
             jet_values(energy, w),
             _rows(stage),
         ),
-        hessian(lambda j: at_data(stage, loss, j, y), jet_values(data, w), [0]),
+        hessian(lambda j: at_data(stage, loss, j, y), jet_values(data, w), VALUE),
     )
 
 
@@ -89,7 +89,7 @@ def _derivatives(f, jets: Float[Array, "e p J t"], rows) -> Float[Array, "jt e p
     def along(direction):
         return jax.jvp(f, (jets,), (jnp.broadcast_to(direction, jets.shape),))[1]
 
-    directions = jnp.eye(J * t).reshape(J, t, J, t)[np.asarray(rows)]
+    directions = jnp.eye(J * t).reshape(J, t, J, t)[rows]
     return jax.lax.map(along, directions.reshape(-1, J, t))
 
 
@@ -106,15 +106,14 @@ def _assemble(
     problem, t = stage.problem, stage.problem.y.shape[1]
     blocks = jnp.zeros((len(problem.pattern.rows), t, t))
     energy = energy * problem.energy_weights[:, :, None, None]
-    jets, scatters = problem.energy_jets, problem.energy_scatters
-    for (start, stop, U), scatter in zip(jets.buckets, scatters, strict=True):
-        matrices = jets.matrices[start:stop, :, _rows(stage), :U]
-        blocks = _add(blocks, energy[start:stop], matrices, scatter)
     data = data * data_weights(problem)[:, :, None, None]
-    jets, scatters = problem.data_jets, problem.data_scatters
-    for (start, stop, U), scatter in zip(jets.buckets, scatters, strict=True):
-        matrices = jets.matrices[start:stop, :, :, :U]
-        blocks = _add(blocks, data[start:stop], matrices, scatter)
+    for local, jets, rows, scatters in (
+        (energy, problem.energy_jets, _rows(stage), problem.energy_scatters),
+        (data, problem.data_jets, VALUE, problem.data_scatters),
+    ):
+        for (start, stop, U), scatter in zip(jets.buckets, scatters, strict=True):
+            matrices = jets.matrices[start:stop, :, rows, :U]
+            blocks = _add(blocks, local[start:stop], matrices, scatter)
     return SparseSymmetric(blocks, problem.pattern)
 
 

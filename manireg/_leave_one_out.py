@@ -17,11 +17,10 @@ from ._hessian import gauss_newton
 from ._jets import in_order, jet_values
 from ._linear_solvers import DirectSolvers, direct_solvers
 from ._minimise import minimise, newton_minimiser, stage_of
-from ._objective import at_data, objective
+from ._objective import Stage, at_data, objective
 from ._problem import Problem
-from ._selection import CrossValidation, lambda_of_wavelength
+from ._selection import CrossValidation, data_spacing, lambda_of_wavelength
 from ._solve import RegressionMap, free_solution
-from ._sources import sampled_dim
 
 LONGEST = 2.7  # wavelength at the top of the default grid, in spacings of the data
 VALUES, RATIO = 5, 3.4  # of it: down to wavelengths of 0.8 spacings
@@ -100,8 +99,7 @@ def _score(errors: np.ndarray) -> float:
 
 
 def _grid(problem: Problem) -> Float[Array, " lams"]:
-    spacing = (problem.volume / len(problem.y)) ** (1 / sampled_dim(problem.source))
-    longest = lambda_of_wavelength(problem, LONGEST * spacing)
+    longest = lambda_of_wavelength(problem, LONGEST * data_spacing(problem))
     return longest * RATIO ** -jnp.arange(VALUES)[::-1]
 
 
@@ -111,19 +109,20 @@ def _fit_and_score(problem: Problem, lam, w, solvers: DirectSolvers, max_steps: 
     w, gamma, _, result, stats = minimise(
         problem, lam, w, "projected", newton, max_steps
     )
-    _, energies = objective(w, stage_of(problem, lam, gamma, "projected", w))
+    stage = stage_of(problem, lam, gamma, "projected", w)
+    _, energies = objective(w, stage)
     model = RegressionMap(
         problem.source, problem.target, problem.basis, w, lam, energies, result, stats
     )
-    errors = left_out_errors(problem, lam, gamma, w, solvers)
+    errors = left_out_errors(w, stage, solvers)
     return model, errors * problem.weights / jnp.mean(problem.weights)
 
 
 def left_out_errors(
-    problem: Problem, lam, gamma, w: Float[Array, "KC t"], solvers: DirectSolvers
+    w: Float[Array, "KC t"], stage: Stage, solvers: DirectSolvers
 ) -> Float[Array, " k"]:
     """Length of each datum's residual in the fit without it, to first order."""
-    stage = stage_of(problem, lam, gamma, "projected", w)
+    problem = stage.problem
     jets, k, t = problem.data_jets, len(problem.y), problem.y.shape[1]
     values = jet_values(jets, w)[:, :, 0]
     slope = lambda target, psi: jax.jacfwd(lambda psi: project_flat(target, psi))(psi)

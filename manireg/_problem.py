@@ -10,7 +10,7 @@ from ._domain import Domain, centres_of, discretise
 from ._farthest_points import local_spacings
 from ._jets import Jets, bucket_columns, jets_of, value_jets
 from ._local_polynomials import LocalPolynomials, local_polynomials
-from ._sources import Ambient, Source, sampled_dim
+from ._sources import Ambient, Source, sampled, sampled_dim
 from ._sparse import Scatter, SparsityPattern, sparsity
 from .manifolds import AbstractManifold, PointCloud
 
@@ -105,9 +105,7 @@ def make_problem(
         width = 2.5 if m == 1 else flat
     domain = discretise(source, centres, x, graded)
     nodes = centres_of(source, centres, x, graded)
-    if isinstance(
-        source.manifold if isinstance(source, Ambient) else source, PointCloud
-    ):
+    if isinstance(sampled(source), PointCloud):
         spacing = local_spacings(np.asarray(nodes.points), m)
     else:
         spacing = (jnp.sum(domain.weights) / len(nodes.points)) ** (1 / m)

@@ -38,7 +38,7 @@ class CrossValidation(eqx.Module):
     @property
     def score(self) -> Float[Array, ""]:
         """Mean score at the chosen lambda."""
-        return jnp.min(jnp.mean(self.scores, axis=0))
+        return jnp.mean(self.scores, axis=0)[jnp.argmin(jnp.abs(self.lams - self.lam))]
 
 
 def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
@@ -50,12 +50,12 @@ def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
     the scale of the target. Below the spacing the data say nothing.
     """
     size = problem.volume ** (1 / sampled_dim(problem.source))
-    low = jnp.log(lambda_of_wavelength(problem, _spacing(problem)))
+    low = jnp.log(lambda_of_wavelength(problem, data_spacing(problem)))
     high = jnp.log(lambda_of_wavelength(problem, 2 * size))
     return jnp.exp(jnp.linspace(low, high, n))
 
 
-def _spacing(problem: Problem):
+def data_spacing(problem: Problem):
     return (problem.volume / len(problem.y)) ** (1 / sampled_dim(problem.source))
 
 
@@ -137,7 +137,7 @@ def _paths(problem: Problem, training, lams, solvers, max_steps: int, bar):
     coefficients, and whether Newton converged."""
     newton = newton_minimiser(solvers, COARSE)
     anchor = jnp.argmin(
-        jnp.abs(jnp.log(lams / lambda_of_wavelength(problem, _spacing(problem))))
+        jnp.abs(jnp.log(lams / lambda_of_wavelength(problem, data_spacing(problem))))
     )
     position = jnp.arange(len(lams))
     upwards = position < len(lams) - anchor  # then on from the anchor, downwards

@@ -84,9 +84,13 @@ class Ambient(eqx.Module):
 Source = AbstractManifold | Ambient | Box | Interval
 
 
+def sampled(source: Source) -> AbstractManifold | Box | Interval:
+    """What is integrated over."""
+    return source.manifold if isinstance(source, Ambient) else source
+
+
 def sampled_dim(source: Source) -> int:
-    """Dimension of the set that is integrated over."""
-    return source.manifold.dim if isinstance(source, Ambient) else source.dim
+    return sampled(source).dim
 
 
 def _floats(values) -> tuple[float, ...]:

@@ -43,12 +43,17 @@ def test_length_is_of_fourth_order():
     assert fine < coarse / 10
 
 
+def shots(manifold, n, length):
+    """Points, and a tangent vector of the given length at each."""
+    p = manifold.random_points(jax.random.key(0), n)
+    v = manifold.tangent_projection(p, jax.random.normal(jax.random.key(1), p.shape))
+    return p, length * v / jnp.linalg.norm(v, axis=1, keepdims=True)
+
+
 @pytest.mark.slow
 def test_torus_against_its_exponential_map():
     torus = mr.Torus(2.0, 0.8)
-    p = torus.random_points(jax.random.key(0), 5)
-    v = torus.tangent_projection(p, jax.random.normal(jax.random.key(1), p.shape))
-    v = 1.2 * v / jnp.linalg.norm(v, axis=1, keepdims=True)
+    p, v = shots(torus, 5, 1.2)
     found = mr.geodesic(torus, p, torus.exp(p, v))
     assert np.all(found.converged)
     np.testing.assert_allclose(found.length, 1.2, rtol=1e-6)
@@ -119,9 +124,7 @@ def test_cloud_of_a_sphere():
 @pytest.mark.slow
 def test_cloud_of_a_torus():
     torus, cloud = torus_cloud(2000)
-    p = torus.random_points(jax.random.key(0), 8)
-    v = torus.tangent_projection(p, jax.random.normal(jax.random.key(1), p.shape))
-    v = 2.0 * v / jnp.linalg.norm(v, axis=1, keepdims=True)
+    p, v = shots(torus, 8, 2.0)
     found = mr.geodesic(cloud, p, torus.exp(p, v))
     assert np.all(found.converged)
     np.testing.assert_allclose(found.length, 2.0, rtol=1e-3)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import optimistix as optx
 from scipy.interpolate import RBFInterpolator
 
 import manireg as mr
@@ -31,8 +32,7 @@ def registered(geometry: str) -> Callable[[Data, int], Fit]:
             centres=centres,
             progress=False,
         )
-        best = int(np.argmin(np.mean(found.cv.scores, axis=0)))
-        converged = bool(np.all(found.cv.converged[:, best]))
+        converged = bool(found.model.result == optx.RESULTS.successful)
         return Fit(found.vertices, float(found.cv.lam), converged)
 
     return fit

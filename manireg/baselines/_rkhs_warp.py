@@ -6,7 +6,7 @@ import scipy.sparse as sp
 from jaxtyping import ArrayLike
 
 from .._checks import check_x64
-from .._domain import farthest_indices
+from .._farthest_points import farthest_indices
 from ..manifolds import PointCloud
 from ._surface_terms import SurfaceTerms
 from ._surface_warp import SurfaceWarp, checked_positions, checked_task, surface_warp

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float, PRNGKeyArray
 
+from .. import _checks
 from .._folds import training_sets
 from ..manifolds import PointCloud
 
@@ -61,7 +62,7 @@ def held_out_errors(
 
 
 def projected(target: PointCloud, points: np.ndarray) -> np.ndarray:
-    return np.asarray(target.project(jnp.asarray(points)))
+    return np.asarray(_checks.projected(target, jnp.asarray(points)))
 
 
 # Checks
