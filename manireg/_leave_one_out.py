@@ -41,14 +41,19 @@ def leave_one_out(
     (Gauss-Newton) Hessian H, the residual of the fit without datum i is
     $(I - h_i)^{-1} r_i$, $h_i = 2 s_i J_i H^{-1} J_i^\top$, $s_i$ the share of its
     weight. Exact for linear problems; one fit a lambda, where `cross_validate` takes one
-    for each fold, too. The lambdas are followed downwards, each from its neighbour.
+    for each fold, too.
+
+    Few data predict errors roughly, and beside them a smaller lambda costs more than a
+    larger one: of the lambdas whose score lies within one standard error of the lowest,
+    the largest is chosen (Breiman, Friedman, Olshen and Stone 1984, section 3.4.3). Scores
+    are means with the largest tenth cut to the ninth decile: where the map may fold
+    without a datum, to first order it flies off, and that datum alone would decide.
 
     **Arguments:** `problem` from `make_problem`; `lams` the grid, default five values of
     wavelengths (see `lambda_grid`) from 2.7 to 0.8 spacings of the data, extended (at most
-    twice) where the best value sits on an edge; `progress` show a progress bar.
+    twice) where the choice sits on an edge; `progress` show a progress bar.
     **Returns** what `cross_validate` does, with one fold a datum: `scores` are the
-    predicted lengths of the residuals, times the data's relative weights; the choice is
-    by their mean with the largest tenth cut to the ninth decile.
+    predicted lengths of the residuals, times the data's relative weights.
     """
     given = lams is not None
     if given:
@@ -57,45 +62,46 @@ def leave_one_out(
     else:
         grid = np.asarray(_grid(problem))[::-1]
     solvers = direct_solvers(linear_algebra)
-    w = eqx.filter_jit(free_solution)(problem, jnp.asarray(grid[0]), solvers)
-    path: dict[float, tuple] = {}
+    fits: dict[float, tuple[RegressionMap, np.ndarray]] = {}
 
-    def visit(lam: float, w):
+    def visit(lam: float):
         # a Python number would be compiled into the program
-        traced = jnp.asarray(lam)
-        model, errors = _fit_and_score(problem, traced, w, solvers, max_steps)
-        path[lam] = model, np.asarray(errors)
+        model, errors = _fit_and_score(problem, jnp.asarray(lam), solvers, max_steps)
+        fits[lam] = model, np.asarray(errors)
         bar.update()
-        return model.coefficients
 
     with tqdm(total=len(grid), desc="leave-one-out", disable=not progress) as bar:
         for lam in grid:
-            w = visit(float(lam), w)
+            visit(float(lam))
         for _ in range(0 if given else EXTENSIONS):
-            best = min(path, key=lambda lam: _score(path[lam][1]))
-            if best not in (min(path), max(path)):
+            chosen = _choice(fits)
+            if chosen not in (min(fits), max(fits)):
                 break
-            further = best * (RATIO if best == max(path) else 1 / RATIO)
-            visit(further, path[best][0].coefficients)
-    visited = sorted(path)
-    scores = np.stack([path[lam][1] for lam in visited], axis=1)
+            visit(chosen * (RATIO if chosen == max(fits) else 1 / RATIO))
+    visited = sorted(fits)
+    scores = np.stack([fits[lam][1] for lam in visited], axis=1)
     successful = [
-        bool(path[lam][0].result == optx.RESULTS.successful) for lam in visited
+        bool(fits[lam][0].result == optx.RESULTS.successful) for lam in visited
     ]
-    best = min(path, key=lambda lam: _score(path[lam][1]))
+    chosen = _choice(fits)
     return CrossValidation(
-        jnp.asarray(best),
+        jnp.asarray(chosen),
         jnp.asarray(visited),
         jnp.asarray(scores),
         jnp.broadcast_to(jnp.asarray(successful), scores.shape),
-        path[best][0],
+        fits[chosen][0],
     )
 
 
-def _score(errors: np.ndarray) -> float:
-    """Mean, the largest tenth cut to the ninth decile: where the map may fold without a
-    datum, to first order it flies off, and that datum alone would decide."""
-    return float(np.mean(np.minimum(errors, np.quantile(errors, 0.9))))
+def _choice(fits: dict[float, tuple[RegressionMap, np.ndarray]]) -> float:
+    """The largest lambda within one standard error of the best."""
+    cut = {
+        lam: np.minimum(errors, np.quantile(errors, 0.9))
+        for lam, (_, errors) in fits.items()
+    }
+    best = min(cut.values(), key=np.mean)
+    allowed = best.mean() + best.std(ddof=1) / np.sqrt(len(best))
+    return max(lam for lam, errors in cut.items() if errors.mean() <= allowed)
 
 
 def _grid(problem: Problem) -> Float[Array, " lams"]:
@@ -104,7 +110,8 @@ def _grid(problem: Problem) -> Float[Array, " lams"]:
 
 
 @eqx.filter_jit
-def _fit_and_score(problem: Problem, lam, w, solvers: DirectSolvers, max_steps: int):
+def _fit_and_score(problem: Problem, lam, solvers: DirectSolvers, max_steps: int):
+    w = free_solution(problem, lam, solvers)
     newton = newton_minimiser(solvers, RTOL)
     w, gamma, _, result, stats = minimise(
         problem, lam, w, "projected", newton, max_steps
