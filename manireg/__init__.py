@@ -26,6 +26,7 @@ from ._selection import (
 )
 from ._solve import RegressionMap as RegressionMap, solve as solve
 from ._sources import Ambient as Ambient, Box as Box, Interval as Interval
+from ._sweep import sweep as sweep
 from .manifolds import (
     AbstractManifold as AbstractManifold,
     Cylinder as Cylinder,

@@ -47,6 +47,7 @@ def setup() -> None:
     --help` for scanned surfaces.
     """
     jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
 
 
 @app.command()

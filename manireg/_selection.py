@@ -18,6 +18,7 @@ from ._problem import Problem, make_problem
 from ._progress import progress_bar, tick
 from ._solve import RegressionMap, free_solution, solve
 from ._sources import Source, sampled_dim
+from ._sweep import over_devices
 from .manifolds import AbstractManifold
 
 COARSE = 1e-4  # predicted relative decrease of the last Newton step of a fold's fit
@@ -83,7 +84,8 @@ def cross_validate(
 ) -> CrossValidation:
     """Choose lambda by k-fold cross-validation and refit on all data.
 
-    Folds are 0/1 weights, so all fits share one compiled program. Within a fold the
+    Folds are 0/1 weights, so all fits share one compiled program, and several devices
+    share the folds (see `sweep`). Within a fold the
     lambdas are followed up and down from the one whose wavelength is the spacing of the
     data, each fit started from its neighbours, extrapolated in log lambda: measured on
     curves, two Newton steps a fit, and minima no worse than from cold starts. Under a far
@@ -194,7 +196,7 @@ def _paths(problem: Problem, training, lams, solvers, max_steps: int, bar):
         _, path = jax.lax.scan(visit, (start, start), order)
         return jax.tree.map(lambda a: a[jnp.argsort(order)], path)
 
-    return jax.lax.map(one_fold, training)
+    return over_devices(one_fold, training)
 
 
 def _where(condition, a: _Place, b: _Place) -> _Place:

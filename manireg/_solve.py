@@ -136,14 +136,22 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     fixed = eqx.combine(fixed, problem)
     frozen_lam = jax.lax.stop_gradient(lam)
     newton = newton_minimiser(solvers, rtol)
+    arrays, rest = eqx.partition((fixed, frozen_lam, warm), eqx.is_array)
 
-    def run(w0):
-        return minimise(fixed, frozen_lam, w0, method, newton, max_steps)
+    # In lockstep all lanes of a vmap would wait for the slowest, and take both branches of
+    # every choice: measured, 2.3 times the time of a loop.
+    @jax.custom_batching.sequential_vmap
+    def lowest(arrays):
+        problem, lam, warm = eqx.combine(arrays, rest)
+        free = [free_solution(problem, factor * lam, solvers) for factor in starts]
+        candidates = jax.lax.map(
+            lambda w0: minimise(problem, lam, w0, method, newton, max_steps),
+            jnp.stack(free + ([] if warm is None else [warm])),
+        )
+        best = jnp.argmin(jnp.nan_to_num(candidates[2], nan=jnp.inf))
+        return jax.tree.map(lambda a: a[best], candidates)
 
-    free = [free_solution(fixed, factor * frozen_lam, solvers) for factor in starts]
-    candidates = jax.lax.map(run, jnp.stack(free + ([] if warm is None else [warm])))
-    best = jnp.argmin(jnp.nan_to_num(candidates[2], nan=jnp.inf))
-    w, gamma, _, result, stats = jax.tree.map(lambda a: a[best], candidates)
+    w, gamma, _, result, stats = lowest(arrays)
     stage = stage_of(problem, lam, gamma, method, jax.lax.stop_gradient(w))
     w = _implicit(stage, w, solvers)
     _, energies = objective(w, stage)

@@ -69,7 +69,8 @@ class SparseSymmetric(lx.AbstractLinearOperator):
 
     def in_structure(self):
         shape = (self.pattern.size, self.blocks.shape[-1])
-        return jax.ShapeDtypeStruct(shape, self.blocks.dtype)
+        # as inside a traced function: in a shard_map types carry the mesh
+        return jax.eval_shape(lambda: jnp.zeros(shape, self.blocks.dtype))
 
     def out_structure(self):
         return self.in_structure()
