@@ -1,5 +1,7 @@
 """The command line: `manireg demo`, `manireg fit` and `manireg register`."""
 
+import contextlib
+import os
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -47,7 +49,9 @@ def setup() -> None:
     --help` for scanned surfaces.
     """
     jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
+    # a device a core, to share the folds; too late where JAX has run in this process
+    with contextlib.suppress(RuntimeError):
+        jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
 
 
 @app.command()

@@ -19,7 +19,7 @@ def sweep(
     lanes: PyTree,
     shared: Any = None,
     *,
-    devices: Sequence[jax.Device] | None = None,
+    devices: Sequence[Any] | None = None,
 ) -> PyTree:
     """`fit(lane, shared)` for every lane, stacked.
 
@@ -51,11 +51,11 @@ def sweep(
 
 
 @eqx.filter_jit
-def _sweep(fit, lanes, shared, devices: tuple[jax.Device, ...]):
+def _sweep(fit, lanes, shared, devices: tuple[Any, ...]):
     return over_devices(lambda lane: fit(lane, shared), lanes, devices)
 
 
-def over_devices(fit, lanes, devices: tuple[jax.Device, ...] | None = None):
+def over_devices(fit, lanes, devices: tuple[Any, ...] | None = None):
     """The same inside of a traced function; `fit` may close over traced values."""
     devices = tuple(jax.devices()) if devices is None else devices
     if len(devices) == 1:
@@ -64,7 +64,7 @@ def over_devices(fit, lanes, devices: tuple[jax.Device, ...] | None = None):
     # lanes that fill up the shares repeat the first
     index = np.arange(-(-count // len(devices)) * len(devices))
     filled = jax.tree.map(lambda a: a[np.where(index < count, index, 0)], lanes)
-    mesh = Mesh(np.array(devices), LANES)
+    mesh = Mesh(np.array(devices), ("lanes",))
     spread = jax.shard_map(
         lambda lanes: jax.lax.map(fit, lanes),
         mesh=mesh,
