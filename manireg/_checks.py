@@ -134,7 +134,8 @@ def _check_on(name, space, points):
 def _tolerance(space, size):
     """A point cloud is known as well as its points are dense."""
     if isinstance(space, PointCloud):
-        return 0.5 * float(np.median(space.areas)) ** (1 / space.dim)
+        areas = np.asarray(space.areas)
+        return 0.5 * float(np.median(areas[areas > 0])) ** (1 / space.dim)
     return ON_MANIFOLD * size
 
 

@@ -42,9 +42,15 @@ def register(
         typer.Option(help="Lambda. Default: chosen by leaving out landmarks."),
     ] = None,
     geometry: Annotated[
-        str, typer.Option(help="`ambient` (stiff) or `intrinsic` (bends freely).")
-    ] = "ambient",
-    centres: Annotated[int, typer.Option(min=20, help="Local polynomials.")] = 400,
+        list[str],
+        typer.Option(
+            help="`ambient` (stiff) or `intrinsic` (bends freely). Given twice: what "
+            "predicts left-out landmarks best."
+        ),
+    ] = ["ambient"],
+    centres: Annotated[
+        list[int], typer.Option(min=20, help="Local polynomials; several: as above.")
+    ] = [400],
 ) -> None:
     """Map one scanned surface onto another from a few landmarks.
 

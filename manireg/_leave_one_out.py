@@ -95,13 +95,15 @@ def leave_one_out(
 
 def _choice(fits: dict[float, tuple[RegressionMap, np.ndarray]]) -> float:
     """The largest lambda within one standard error of the best."""
-    cut = {
-        lam: np.minimum(errors, np.quantile(errors, 0.9))
-        for lam, (_, errors) in fits.items()
-    }
+    cut = {lam: cut_errors(errors) for lam, (_, errors) in fits.items()}
     best = min(cut.values(), key=np.mean)
     allowed = best.mean() + best.std(ddof=1) / np.sqrt(len(best))
     return max(lam for lam, errors in cut.items() if errors.mean() <= allowed)
+
+
+def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """The largest tenth cut to the ninth decile."""
+    return np.minimum(errors, np.quantile(errors, 0.9))
 
 
 def _grid(problem: Problem) -> Float[Array, " lams"]:

@@ -1,5 +1,7 @@
 """Dense correspondence between two scanned surfaces from a few landmarks."""
 
+import itertools
+from collections.abc import Sequence
 from pathlib import Path
 
 import equinox as eqx
@@ -8,7 +10,7 @@ import numpy as np
 import trimesh
 from jaxtyping import ArrayLike, Float, Int, ScalarLike
 
-from ._leave_one_out import RTOL, leave_one_out
+from ._leave_one_out import RTOL, cut_errors, leave_one_out
 from ._problem import make_problem
 from ._selection import CrossValidation
 from ._solve import RegressionMap, evaluate, solve
@@ -55,8 +57,8 @@ def register(
     target_landmarks: ArrayLike,
     lam: ScalarLike | None = None,
     *,
-    geometry: str = "ambient",
-    centres: int = 400,
+    geometry: str | Sequence[str] = "ambient",
+    centres: int | Sequence[int] = 400,
     progress: bool = True,
 ) -> Registration:
     """Learn the map from one surface to another that is smoothest in the sense of the
@@ -75,6 +77,10 @@ def register(
       and the smoothness follow the landmarks (`graded` in `make_problem`), so lambda and
       `.model.energies` are means with that weight.
 
+    Several geometries or numbers of centres, `geometry=("ambient", "intrinsic")`,
+    `centres=(200, 400)`, are tried in all combinations, and the one that predicts left-out
+    landmarks best is kept.
+
     No alignment is needed before: affine maps cost nothing at the start. **Raises**
     ValueError for landmarks that are too few, off the surface, NaN or on one line, and
     for what `PointCloud` rejects.
@@ -90,37 +96,59 @@ def register(
         )
     if np.linalg.matrix_rank(x - x.mean(0), tol=1e-3 * np.ptp(x)) < 2:
         raise ValueError("source_landmarks: all on one line; spread them out.")
+    padded = onto.padded(-(-len(onto.points) // PAD) * PAD)
+    choices = list(itertools.product(_several(geometry), _several(centres)))
+    found: list[tuple[RegressionMap, CrossValidation | None]] = []
+    for of, count in choices:
+        problem = make_problem(
+            _with_geometry(cloud, of),
+            padded,
+            x,
+            y,
+            centres=count,
+            degree=1,
+            graded=True,
+        )
+        nothing = jnp.zeros((problem.pattern.size, 3))
+        if not evaluate(problem.basis, nothing, jnp.asarray(start))[1]:
+            raise ValueError(
+                "source: some vertices lie outside the support of every centre. Drop "
+                "vertices that no triangle uses (mesh.remove_unreferenced_vertices()), or "
+                "take more `centres`."
+            )
+        if lam is None or len(choices) > 1:
+            lams = None if lam is None else jnp.atleast_1d(lam)
+            cv = leave_one_out(problem, lams, progress=progress)
+            found.append((cv.model, cv))
+        else:
+            model = solve(problem, lam, starts=(1.0,), rtol=RTOL, throw=False)
+            found.append((model, None))
+    model, cv = min(found, key=lambda fit: _predicted_error(fit[1]))
+    image = onto.project(
+        evaluate(model.basis, model.coefficients, jnp.asarray(start))[0]
+    )
+    errors = np.linalg.norm(np.asarray(model(x)) - y, axis=1)
+    return Registration(np.asarray(image), model, cv, errors, start, faces)
+
+
+def _several(choice) -> tuple:
+    return (choice,) if isinstance(choice, str | int | np.integer) else tuple(choice)
+
+
+def _with_geometry(cloud: PointCloud, geometry: str):
     if geometry not in ("ambient", "intrinsic"):
         raise ValueError(
             f"geometry: expected 'ambient' or 'intrinsic', found {geometry!r}."
         )
-    problem = make_problem(
-        Ambient(cloud) if geometry == "ambient" else cloud,
-        onto.padded(-(-len(onto.points) // PAD) * PAD),
-        x,
-        y,
-        centres=centres,
-        degree=1,
-        graded=True,
-    )
-    nothing = jnp.zeros((problem.pattern.size, 3))
-    if not evaluate(problem.basis, nothing, jnp.asarray(start))[1]:
-        raise ValueError(
-            "source: some vertices lie outside the support of every centre. Drop vertices "
-            "that no triangle uses (mesh.remove_unreferenced_vertices()), or take more "
-            "`centres`."
-        )
-    if lam is None:
-        cv = leave_one_out(problem, progress=progress)
-        model = cv.model
-    else:
-        cv = None
-        model = solve(problem, lam, starts=(1.0,), rtol=RTOL, throw=False)
-    image = onto.project(
-        evaluate(model.basis, model.coefficients, jnp.asarray(start))[0]
-    )
-    errors = np.linalg.norm(np.asarray(model(x)) - np.asarray(problem.y), axis=1)
-    return Registration(np.asarray(image), model, cv, errors, start, faces)
+    return Ambient(cloud) if geometry == "ambient" else cloud
+
+
+def _predicted_error(cv: CrossValidation | None) -> float:
+    """Of left-out landmarks; with nothing to choose, of no interest."""
+    if cv is None:
+        return 0.0
+    chosen = int(jnp.argmin(jnp.abs(cv.lams - cv.lam)))
+    return float(cut_errors(np.asarray(cv.scores[:, chosen])).mean())
 
 
 def _surface(surface: Surface):

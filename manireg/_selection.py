@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
+from tqdm.auto import tqdm
 
 from ._checks import check_lam
 from ._folds import GRID, evaluated, held_out_error, training_sets
@@ -15,10 +16,9 @@ from ._jets import values_at_data
 from ._linear_solvers import direct_solvers
 from ._minimise import minimise, newton_minimiser
 from ._problem import Problem, make_problem
-from ._progress import progress_bar, tick
 from ._solve import RegressionMap, free_solution, solve
 from ._sources import Source, sampled_dim
-from ._sweep import over_devices
+from ._sweep import sweep
 from .manifolds import AbstractManifold
 
 COARSE = 1e-4  # predicted relative decrease of the last Newton step of a fold's fit
@@ -113,14 +113,19 @@ def cross_validate(
         degree=degree,
         width=width,
     )
-    training = jnp.asarray(training_sets(len(problem.y), folds, key))
+    training = training_sets(len(problem.y), folds, key)
     solvers = direct_solvers(linear_algebra)
 
     def evaluate(grid):
-        ticks = len(training) * len(grid)
-        with progress_bar(ticks, "cross-validation", progress) as bar:
-            paths = _paths(problem, training, grid, solvers, max_steps, bar)
-            return jax.block_until_ready(paths)
+        at_once = len(jax.devices())
+        filled = np.arange(-(-folds // at_once) * at_once) % folds
+        shared, paths = (problem, grid, solvers, max_steps), []
+        with tqdm(total=folds, desc="folds", disable=not progress, leave=False) as bar:
+            for lanes in np.split(filled, len(filled) // at_once):
+                path = sweep(_path, training[lanes], shared)
+                paths.append(jax.block_until_ready(path))
+                bar.update(at_once)
+        return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:folds], *paths)
 
     if lams is None:
         grid = lambda_grid(problem)
@@ -145,10 +150,11 @@ class _Place(eqx.Module):
     ended: Bool[Array, ""]
 
 
-@eqx.filter_jit
-def _paths(problem: Problem, training, lams, solvers, max_steps: int, bar):
-    """For each row of `training` (0/1 weights) and each lambda: the held-out score, the
+def _path(inside: Bool[Array, " k"], shared):
+    """Along all lambdas, fitted to the data `inside`: the score on the others, the
     coefficients, and whether Newton converged."""
+    problem, lams, solvers, max_steps = shared
+    fold = eqx.tree_at(lambda p: p.weights, problem, problem.weights * inside)
     newton = newton_minimiser(solvers, COARSE)
     log_lams = jnp.log(lams)
     spacing = lambda_of_wavelength(problem, data_spacing(problem))
@@ -157,46 +163,36 @@ def _paths(problem: Problem, training, lams, solvers, max_steps: int, bar):
     upwards = position < len(lams) - anchor  # then on from the anchor, downwards
     order = jnp.where(upwards, anchor + position, len(lams) - 1 - position)
 
-    def one_fold(inside):
-        fold = eqx.tree_at(lambda p: p.weights, problem, problem.weights * inside)
+    def fit(place, index):
+        gap = log_lams[index] - place.log_lam
+        start = place.w + gap * place.slope
+        w, _, _, result, _ = minimise(
+            fold, lams[index], start, "projected", newton, max_steps
+        )
+        converged = result == optx.RESULTS.successful
+        score = _score(problem, inside, w)
+        secant = (w - place.w) / jnp.where(gap == 0, jnp.inf, gap)
+        slope = jnp.where(converged, secant, 0.0)
+        ended = ~converged & (score > HOPELESS * place.best)
+        best = jnp.minimum(score, place.best)
+        return _Place(log_lams[index], w, slope, best, ended), score, converged
 
-        def fit(place, index):
-            gap = log_lams[index] - place.log_lam
-            w, _, _, result, _ = minimise(
-                fold,
-                lams[index],
-                place.w + gap * place.slope,
-                "projected",
-                newton,
-                max_steps,
-            )
-            converged = result == optx.RESULTS.successful
-            score = _score(problem, inside, w)
-            secant = (w - place.w) / jnp.where(gap == 0, jnp.inf, gap)
-            slope = jnp.where(converged, secant, 0.0)
-            ended = ~converged & (score > HOPELESS * place.best)
-            best = jnp.minimum(score, place.best)
-            return _Place(log_lams[index], w, slope, best, ended), score, converged
+    def visit(carry, index):
+        place, at_anchor = carry
+        back = eqx.tree_at(lambda p: p.best, at_anchor, place.best)
+        place = _where(index == anchor - 1, back, place)
+        skip = lambda: (place, jnp.full_like(place.best, jnp.inf), jnp.array(False))
+        place, score, converged = jax.lax.cond(
+            place.ended, skip, lambda: fit(place, index)
+        )
+        carry = place, _where(index == anchor, place, at_anchor)
+        return carry, (score, place.w, converged)
 
-        def visit(carry, index):
-            place, at_anchor = carry
-            back = eqx.tree_at(lambda p: p.best, at_anchor, place.best)
-            place = _where(index == anchor - 1, back, place)
-            skip = lambda: (place, jnp.full_like(place.best, jnp.inf), jnp.array(False))
-            place, score, converged = jax.lax.cond(
-                place.ended, skip, lambda: fit(place, index)
-            )
-            tick(bar)
-            carry = place, _where(index == anchor, place, at_anchor)
-            return carry, (score, place.w, converged)
-
-        w = free_solution(fold, lams[anchor], solvers)
-        nothing_yet = jnp.full_like(lams[0], jnp.inf), jnp.array(False)
-        start = _Place(log_lams[anchor], w, jnp.zeros_like(w), *nothing_yet)
-        _, path = jax.lax.scan(visit, (start, start), order)
-        return jax.tree.map(lambda a: a[jnp.argsort(order)], path)
-
-    return over_devices(one_fold, training)
+    w = free_solution(fold, lams[anchor], solvers)
+    nothing_yet = jnp.full_like(lams[0], jnp.inf), jnp.array(False)
+    start = _Place(log_lams[anchor], w, jnp.zeros_like(w), *nothing_yet)
+    _, path = jax.lax.scan(visit, (start, start), order)
+    return jax.tree.map(lambda a: a[jnp.argsort(order)], path)
 
 
 def _where(condition, a: _Place, b: _Place) -> _Place:

@@ -168,7 +168,9 @@ def free_solution(
     w = jnp.zeros((problem.pattern.size, problem.y.shape[1]))
     stage = Stage(free, lam, 0.0, False)
     gradient = jax.grad(lambda w: objective(w, stage)[0])(w)
-    return -lx.linear_solve(gauss_newton(w, stage), gradient, solvers.positive).value
+    matrix = gauss_newton(w, stage)
+    # no `throw`: it would be a callback, and those neither run on every device nor cache
+    return -lx.linear_solve(matrix, gradient, solvers.positive, throw=False).value
 
 
 def free_problem(problem: Problem) -> Problem:
@@ -190,4 +192,4 @@ def _(primals, tangents):
     gradient = lambda stage: jax.grad(lambda w: objective(w, stage)[0])(w)
     _, moved = eqx.filter_jvp(gradient, (stage,), (tangents[0],))
     hessian = exact(w, stage)
-    return w, -lx.linear_solve(hessian, moved, solvers.indefinite).value
+    return w, -lx.linear_solve(hessian, moved, solvers.indefinite, throw=False).value

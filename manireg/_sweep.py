@@ -52,21 +52,16 @@ def sweep(
 
 @eqx.filter_jit
 def _sweep(fit, lanes, shared, devices: tuple[Any, ...]):
-    return over_devices(lambda lane: fit(lane, shared), lanes, devices)
-
-
-def over_devices(fit, lanes, devices: tuple[Any, ...] | None = None):
-    """The same inside of a traced function; `fit` may close over traced values."""
-    devices = tuple(jax.devices()) if devices is None else devices
+    one = lambda lane: fit(lane, shared)
     if len(devices) == 1:
-        return jax.lax.map(fit, lanes)
+        return jax.lax.map(one, lanes)
     count = len(jax.tree.leaves(lanes)[0])
     # lanes that fill up the shares repeat the first
     index = np.arange(-(-count // len(devices)) * len(devices))
     filled = jax.tree.map(lambda a: a[np.where(index < count, index, 0)], lanes)
     mesh = Mesh(np.array(devices), ("lanes",))
     spread = jax.shard_map(
-        lambda lanes: jax.lax.map(fit, lanes),
+        lambda lanes: jax.lax.map(one, lanes),
         mesh=mesh,
         in_specs=LANES,
         out_specs=LANES,

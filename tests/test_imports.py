@@ -11,7 +11,7 @@ from pathlib import Path
 import manireg
 
 FLOORS: Sequence[str] = """
-_numerics _progress _sweep manifolds _sources _frames _charts _checks _cloud_paths
+_numerics _sweep manifolds _sources _frames _charts _checks _cloud_paths
 _geodesic _farthest_points _domain _energy _local_polynomials _jets _densities _sparse
 _linear_solvers _problem _local_target _objective _hessian _newton _continuation _minimise
 _solve _geodesic_loss _folds _selection _leave_one_out _register _fit baselines datasets

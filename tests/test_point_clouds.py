@@ -216,11 +216,12 @@ def test_bad_meshes(tmp_path):
 
 def test_padding_changes_nothing():
     cloud = sphere_cloud(500)
-    padded = cloud.padded(700)
+    padded = cloud.padded(1200)
     p = jnp.array([[0.3, 0.4, 1.2], [-2.0, 0.1, 0.0]])
-    assert padded.points.shape == (700, 3)
+    assert padded.points.shape == (1200, 3)
     assert np.array_equal(padded.project(p), cloud.project(p))
     assert np.isclose(jnp.sum(padded.areas), jnp.sum(cloud.areas))
+    assert np.isclose(padded.reach, cloud.reach)
     with pytest.raises(ValueError, match="size"):
         cloud.padded(400)
 

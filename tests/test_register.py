@@ -70,6 +70,19 @@ def test_bent_ball(geometry):
     assert found.stretch().shape == (len(BALL.faces),)
 
 
+@pytest.mark.slow
+def test_centres_are_chosen_by_what_predicts_landmarks():
+    """The better of two, found without knowing the truth."""
+    found = [
+        mr.register(BALL, BENT, LANDMARKS, LANDMARKS, 1e-6, centres=n, progress=False)
+        for n in (20, 80, (20, 80))
+    ]
+    errors = [np.linalg.norm(f.vertices - BENT.vertices, axis=1).mean() for f in found]
+    assert errors[0] != errors[1]
+    assert errors[2] == min(errors)
+    assert found[2].cv is not None and found[2].cv.scores.shape == (40, 1)
+
+
 def off_surface(p):
     return np.where(np.arange(len(p))[:, None] == 2, 2 * p, p)
 

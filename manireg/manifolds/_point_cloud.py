@@ -149,7 +149,8 @@ class PointCloud(AbstractManifold):
         """Smallest radius of curvature, but for the sharpest 1 % of the points; thin
         places, where two sides come close, are not looked for."""
         bend = jnp.max(jnp.abs(jnp.linalg.eigvalsh(self.bendings)), axis=1)
-        return 1.0 / jnp.percentile(bend, 99.0)
+        padding = self.areas == 0
+        return 1.0 / jnp.nanpercentile(jnp.where(padding, jnp.nan, bend), 99.0)
 
     @property
     def injectivity_radius(self) -> ScalarLike:
