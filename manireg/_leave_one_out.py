@@ -41,17 +41,19 @@ def leave_one_out(
     (Gauss-Newton) Hessian H, the residual of the fit without datum i is
     $(I - h_i)^{-1} r_i$, $h_i = 2 s_i J_i H^{-1} J_i^\top$, $s_i$ the share of its
     weight. Exact for linear problems; one fit a lambda, where `cross_validate` takes one
-    for each fold, too.
+    for each fold, too. The lambdas are followed downwards, each from its neighbour:
+    started from the free solution of a small lambda, maps fold up far from the data.
 
-    Few data predict errors roughly, and beside them a smaller lambda costs more than a
-    larger one: of the lambdas whose score lies within one standard error of the lowest,
-    the largest is chosen (Breiman, Friedman, Olshen and Stone 1984, section 3.4.3). Scores
-    are means with the largest tenth cut to the ninth decile: where the map may fold
-    without a datum, to first order it flies off, and that datum alone would decide.
+    Few data predict errors roughly, and a far too small lambda costs more than one too
+    large: chosen is the largest lambda that predicts no worse than the best one, up to a
+    standard error of the difference (after Breiman, Friedman, Olshen and Stone 1984,
+    section 3.4.3, paired). Scores are means with the largest tenth cut to the ninth
+    decile: where the map may fold without a datum, to first order it flies off, and that
+    datum alone would decide.
 
     **Arguments:** `problem` from `make_problem`; `lams` the grid, default five values of
     wavelengths (see `lambda_grid`) from 2.7 to 0.8 spacings of the data, extended (at most
-    twice) where the choice sits on an edge; `progress` show a progress bar.
+    twice) where the best value or the choice sits on an edge; `progress` show a bar.
     **Returns** what `cross_validate` does, with one fold a datum: `scores` are the
     predicted lengths of the residuals, times the data's relative weights.
     """
@@ -62,22 +64,28 @@ def leave_one_out(
     else:
         grid = np.asarray(_grid(problem))[::-1]
     solvers = direct_solvers(linear_algebra)
+    w = eqx.filter_jit(free_solution)(problem, jnp.asarray(grid[0]), solvers)
     fits: dict[float, tuple[RegressionMap, np.ndarray]] = {}
 
-    def visit(lam: float):
+    def visit(lam: float, w):
         # a Python number would be compiled into the program
-        model, errors = _fit_and_score(problem, jnp.asarray(lam), solvers, max_steps)
+        traced = jnp.asarray(lam)
+        model, errors = _fit_and_score(problem, traced, w, solvers, max_steps)
         fits[lam] = model, np.asarray(errors)
         bar.update()
+        return model.coefficients
 
     with tqdm(total=len(grid), desc="leave-one-out", disable=not progress) as bar:
         for lam in grid:
-            visit(float(lam))
+            w = visit(float(lam), w)
         for _ in range(0 if given else EXTENSIONS):
-            chosen = _choice(fits)
-            if chosen not in (min(fits), max(fits)):
+            best, chosen = _best(fits), _choice(fits)
+            if best == min(fits):
+                visit(best / RATIO, fits[best][0].coefficients)
+            elif chosen == max(fits):
+                visit(chosen * RATIO, fits[chosen][0].coefficients)
+            else:
                 break
-            visit(chosen * (RATIO if chosen == max(fits) else 1 / RATIO))
     visited = sorted(fits)
     scores = np.stack([fits[lam][1] for lam in visited], axis=1)
     successful = [
@@ -93,12 +101,17 @@ def leave_one_out(
     )
 
 
+def _best(fits: dict[float, tuple[RegressionMap, np.ndarray]]) -> float:
+    """The lambda of the lowest score."""
+    return min(fits, key=lambda lam: cut_errors(fits[lam][1]).mean())
+
+
 def _choice(fits: dict[float, tuple[RegressionMap, np.ndarray]]) -> float:
-    """The largest lambda within one standard error of the best."""
+    """The largest lambda that predicts no worse than the best, up to a standard error."""
     cut = {lam: cut_errors(errors) for lam, (_, errors) in fits.items()}
-    best = min(cut.values(), key=np.mean)
-    allowed = best.mean() + best.std(ddof=1) / np.sqrt(len(best))
-    return max(lam for lam, errors in cut.items() if errors.mean() <= allowed)
+    worse = {lam: errors - cut[_best(fits)] for lam, errors in cut.items()}
+    standard_error = lambda gap: gap.std(ddof=1) / np.sqrt(len(gap))
+    return max(lam for lam, gap in worse.items() if gap.mean() <= standard_error(gap))
 
 
 def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
@@ -112,8 +125,7 @@ def _grid(problem: Problem) -> Float[Array, " lams"]:
 
 
 @eqx.filter_jit
-def _fit_and_score(problem: Problem, lam, solvers: DirectSolvers, max_steps: int):
-    w = free_solution(problem, lam, solvers)
+def _fit_and_score(problem: Problem, lam, w, solvers: DirectSolvers, max_steps: int):
     newton = newton_minimiser(solvers, RTOL)
     w, gamma, _, result, stats = minimise(
         problem, lam, w, "projected", newton, max_steps
