@@ -160,7 +160,11 @@ def free_solution(
     w = jnp.zeros((problem.pattern.size, problem.y.shape[1]))
     stage = Stage(free, lam, 0.0, False)
     gradient = jax.grad(lambda w: objective(w, stage)[0])(w)
-    return -lx.linear_solve(gauss_newton(w, stage), gradient, solvers.positive).value
+    # every coordinate has the same matrix
+    coordinate = lambda s: (s.problem.target, s.problem.y)
+    one = eqx.tree_at(coordinate, stage, (Euclidean(1), problem.y[:, :1]))
+    factor = solvers.positive.init(gauss_newton(w[:, :1], one), {})
+    return -solvers.positive.compute(factor, gradient[:, None], {})[0][:, 0]
 
 
 def free_problem(problem: Problem) -> Problem:
@@ -181,5 +185,5 @@ def _(primals, tangents):
     stage, w, solvers = primals
     gradient = lambda stage: jax.grad(lambda w: objective(w, stage)[0])(w)
     _, moved = eqx.filter_jvp(gradient, (stage,), (tangents[0],))
-    hessian = exact(w, stage)
+    hessian = exact(w, stage, gauss_newton(w, stage))
     return w, -lx.linear_solve(hessian, moved, solvers.indefinite).value
