@@ -122,7 +122,8 @@ def assemble_problem(source, target, basis, domain: Domain, x, y, weights) -> Pr
         free_jets = jets_of(basis, domain.points, domain.frames, flat)
     data_jets = value_jets(basis, x, energy_jets)
     energy, data = (bucket_centres(j, basis.size) for j in (energy_jets, data_jets))
-    pattern, places = sparsity([*energy, *data], len(basis.centres), basis.size)
+    supports = np.asarray(basis.centres), np.asarray(basis.widths)
+    pattern, places = sparsity([*energy, *data], *supports, basis.size)
     return Problem(
         source=source,
         target=target,

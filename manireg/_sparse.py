@@ -99,25 +99,35 @@ declare_symmetric(SparseSymmetric)
 
 
 def sparsity(
-    families_of_centres: Sequence[Int[np.ndarray, "e L"]], centres: int, functions: int
+    families_of_centres: Sequence[Int[np.ndarray, "e L"]],
+    points: Float[np.ndarray, "K s"],
+    radii: Float[np.ndarray, " K"],
+    functions: int,
 ) -> tuple[SparsityPattern, tuple[Int[Array, "e pairs"], ...]]:
-    """Pattern of a sum of element matrices, each family given by the centres of its
-    elements (ascending; negative: padding, last), and for each family the places in the
-    pattern of the element's pairs of centres i <= j, past its end for padding. Host."""
+    """Pattern of a sum of element matrices. Host.
+
+    **Arguments:** `families_of_centres`: for each family of elements their centres,
+    ascending (negative: padding, last); `points`, `radii` the centres' supports, for an
+    element has pairs of centres that no point of it sees together.
+    **Returns** the pattern, and for each family the places in it of the element's pairs
+    of centres i <= j, past its end where there is nothing to add.
+    """
+    K = len(points)
     families = []
     for near in families_of_centres:
         near = np.asarray(near, dtype=np.int64)
         i, j = np.triu_indices(near.shape[1])
-        keys = near[:, i] * centres + near[:, j]
-        keys[near[:, j] < 0] = centres**2
-        families.append(keys)
-    diagonal = np.arange(centres) * (centres + 1)
+        first, second = near[:, i], near[:, j]
+        apart = np.sqrt(sum((x[first] - x[second]) ** 2 for x in points.T))
+        meet = (second >= 0) & (apart < radii[first] + radii[second])
+        families.append(np.where(meet, first * K + second, K**2))
+    diagonal = np.arange(K) * (K + 1)
     entries = np.unique(np.concatenate([*map(np.unique, families), diagonal]))
-    entries = entries[entries < centres**2]
-    rows, cols = (jnp.asarray(a, dtype=jnp.int32) for a in np.divmod(entries, centres))
+    entries = entries[entries < K**2]
+    rows, cols = (jnp.asarray(a, dtype=jnp.int32) for a in np.divmod(entries, K))
     places = (np.searchsorted(entries, keys) for keys in families)
     return (
-        SparsityPattern(rows, cols, centres, functions),
+        SparsityPattern(rows, cols, K, functions),
         tuple(jnp.asarray(into, dtype=jnp.int32) for into in places),
     )
 
