@@ -7,6 +7,8 @@ differentiates twice and is only ever multiplied with vectors: its solver iterat
 the factor of a Gauss-Newton matrix near by.
 """
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -209,6 +211,6 @@ def _add_chunk(blocks, local, matrices, into):
     terms = [
         local[:, :, :, :, k] * matrices[:, :, None, None, k, :, None] for k in range(J)
     ]
-    half = sum(terms).reshape(e, p * J, t * U * t)
+    half = functools.reduce(jnp.add, terms).reshape(e, p * J, t * U * t)
     whole = jnp.einsum("equ,eqv->euv", matrices.reshape(e, p * J, U), half)
     return scatter_add(blocks, into, whole.reshape(e, U * t, U * t))

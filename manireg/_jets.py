@@ -52,9 +52,9 @@ def in_order(jets: Jets, values: Float[Array, "e p t"], k: int) -> Float[Array, 
     return jnp.zeros((k, values.shape[2])).at[jets.index].add(values)
 
 
-def bucket_centres(jets: Jets, functions: int) -> list[Int[Array, "e L"]]:
+def bucket_centres(jets: Jets, functions: int) -> list[Int[np.ndarray, "_ _"]]:
     """The centres of the elements of each bucket, negative for padding."""
-    near = jets.columns[:, ::functions] // functions
+    near = np.asarray(jets.columns)[:, ::functions] // functions
     return [near[start:stop, : U // functions] for start, stop, U in jets.buckets]
 
 
@@ -90,6 +90,28 @@ def value_jets(
     columns = _columns(basis, near)
     e, U = columns.shape
     return Jets(matrices, columns, index, mask, ((0, e, U),))
+
+
+def centres_near(
+    basis: LocalPolynomials, points: Float[np.ndarray, "n s"]
+) -> Int[np.ndarray, "n L"]:
+    """The centres whose support holds each point; -1 is padding. Host."""
+    supported, centre = _supports(basis, points)
+    order = np.argsort(supported, kind="stable")
+    near = np.split(
+        centre[order], np.cumsum(np.bincount(supported, minlength=len(points)))
+    )
+    # few shapes, few compilations
+    most = max(map(len, near), default=0)
+    return _padded(near[:-1], [-1] * len(points), least=-(-max(most, 1) // 8) * 8)[0]
+
+
+def _supports(basis: LocalPolynomials, points: np.ndarray):
+    """Indices of points and centres, for every point in the support of a centre."""
+    radii = np.asarray(basis.widths) * (1 - 1e-12)
+    inside = KDTree(points).query_ball_point(np.asarray(basis.centres), radii)
+    supported = np.concatenate([np.asarray(own, dtype=int) for own in inside])
+    return supported, np.repeat(np.arange(len(radii)), [len(own) for own in inside])
 
 
 def _buckets(near, basis: LocalPolynomials) -> tuple[tuple[int, int, int], ...]:
@@ -145,17 +167,14 @@ def _elements(
     element = np.zeros(len(points), dtype=int)
     for e, cell in enumerate(cells):
         element[cell] = e
-    tree, widths = KDTree(points), np.asarray(basis.widths)
-    inside = tree.query_ball_point(np.asarray(basis.centres), widths * (1 - 1e-12))
-    supported = np.concatenate([np.asarray(own, dtype=int) for own in inside])
+    supported, centre = _supports(basis, points)
     uncovered = len(points) - len(np.unique(supported))
     if uncovered:
         raise ValueError(
             f"centres: {uncovered} of {len(points)} points lie outside the "
             "support of every centre (no cover); use more centres or larger widths."
         )
-    K = len(widths)
-    centre = np.repeat(np.arange(K), [len(own) for own in inside])
+    K = len(basis.centres)
     reaching, centre = np.divmod(np.unique(element[supported] * K + centre), K)
     near = np.split(centre, np.searchsorted(reaching, np.arange(1, len(cells))))
     order = sorted(range(len(cells)), key=lambda e: len(near[e]))

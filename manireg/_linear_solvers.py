@@ -61,7 +61,10 @@ class ModelCG(_AbstractDirect):
     max_steps: int = 50
 
     def init(self, operator, options):
-        return operator, self.positive.init(operator.model, options)
+        model = getattr(operator, "model", None)
+        if model is None:
+            raise ValueError("ModelCG: needs an operator with a `model`.")
+        return operator, self.positive.init(model, options)
 
     def compute(self, state, vector, options):
         operator, factor = state
@@ -151,7 +154,9 @@ def _scale(operator: SparseSymmetric):
 
 def _inverse_root(diagonal):
     size = jnp.abs(diagonal)
-    return jax.lax.rsqrt(jnp.maximum(size, 1e-14 * jnp.max(size)))
+    # of a zero matrix, too: under vmap both sides of a branch are computed
+    least = jnp.maximum(1e-14 * jnp.max(size), 1e-300)
+    return jax.lax.rsqrt(jnp.maximum(size, least))
 
 
 def _flat(scale: Float[Array, "size t"], vector: Float[Array, "size t *sides"]):

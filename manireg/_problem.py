@@ -37,9 +37,9 @@ class Problem(eqx.Module):
     y: Float[Array, "k t"]
     weights: Float[Array, " k"]
     pattern: SparsityPattern
-    energy_places: tuple[Int[Array, "e pairs"], ...]
+    energy_places: tuple[Int[Array, "_ _"], ...]
     """For each bucket of elements, where its pairs of centres are in the pattern."""
-    data_places: tuple[Int[Array, "d pairs"], ...]
+    data_places: tuple[Int[Array, "_ _"], ...]
 
     @property
     def volume(self) -> Float[Array, ""]:

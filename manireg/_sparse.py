@@ -99,11 +99,11 @@ declare_symmetric(SparseSymmetric)
 
 
 def sparsity(
-    families_of_centres: Sequence[Int[np.ndarray, "e L"]],
+    families_of_centres: Sequence[Int[np.ndarray, "_ _"]],
     points: Float[np.ndarray, "K s"],
     radii: Float[np.ndarray, " K"],
     functions: int,
-) -> tuple[SparsityPattern, tuple[Int[Array, "e pairs"], ...]]:
+) -> tuple[SparsityPattern, tuple[Int[Array, "_ _"], ...]]:
     """Pattern of a sum of element matrices. Host.
 
     **Arguments:** `families_of_centres`: for each family of elements their centres,

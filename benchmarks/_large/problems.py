@@ -1,4 +1,4 @@
-"""The problems: `(source, target, x, y, options of make_problem, lambda)` for K centres."""
+"""The problems for K centres: `(source, target, x, y, arguments, lambda)`."""
 
 import jax
 import jax.numpy as jnp

@@ -26,8 +26,8 @@ def _table(runs, name: str) -> str:
     lines = [
         f"{NAMES[name]}:",
         "",
-        "| centres | unknowns | data | make_problem s | solve s | compile s | Newton steps "
-        "| s an iteration | of it factorisation | ratio | peak GB |",
+        "| centres | unknowns | data | make_problem s | solve s | compile s | Newton "
+        "steps | s an iteration | of it factorisation | ratio | peak GB |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
@@ -47,6 +47,6 @@ def _table(runs, name: str) -> str:
         ends = (seconds[-1] - seconds[0]) / (K[-1] - K[0])
         lines += [
             "",
-            f"make_problem + solve grows like K^{ends:.2f} from the first row to the last.",
+            f"make_problem + solve grows like K^{ends:.2f}, first to last row.",
         ]
     return "\n".join([*lines, ""])
