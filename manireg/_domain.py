@@ -203,12 +203,14 @@ def _quasi_uniform(source: Source, n: int, with_weights: bool) -> Domain:
 
 
 def _of_cloud(source: PointCloud, n: int, around, graded: bool) -> Domain:
-    """`n` points of the cloud, farthest points from those next to `around`; the area of
-    every point of the cloud goes to the nearest of them."""
+    """`n` points of the cloud, farthest points from those next to `around` (if they are
+    no more than `n`); the area of every point of the cloud goes to the nearest of them."""
     cloud = np.asarray(source.points)
-    first, spacing = [], np.ones(len(cloud))
+    first, spacing = [], 1.0
     if around is not None:
-        first = np.asarray(source.nearest(jnp.asarray(around)))
+        first = np.unique(source.nearest(jnp.asarray(around)))
+    if len(first) > n:
+        first = []
     if graded:
         spacing = graded_spacing(cloud, np.asarray(around))
     index = farthest_indices(cloud, min(n, len(cloud)), first, spacing)

@@ -19,13 +19,17 @@ def farthest_indices(
     the points of `cloud` that are farthest from all before, in units of `spacing`."""
     first = np.unique(np.asarray(first, dtype=int)) if len(first) else np.zeros(1, int)
     chosen = np.append(first, np.zeros(max(0, n - len(first)), dtype=int))
-    distance = np.full(len(cloud), np.inf)
     scale = np.broadcast_to(np.asarray(spacing), len(cloud)) ** -2.0
-    for i, new in enumerate(chosen):
-        if i >= len(first):
-            chosen[i] = new = np.argmax(distance * scale)
-        offset = cloud - cloud[new]
-        distance = np.minimum(distance, np.einsum("ps,ps->p", offset, offset))
+    nearest = first[KDTree(cloud[first]).query(cloud)[1]]
+    distance = np.sum((cloud - cloud[nearest]) ** 2, axis=1)
+    score, tree = distance * scale, KDTree(cloud)
+    for i in range(len(first), len(chosen)):
+        chosen[i] = new = np.argmax(score)
+        # no point farther from `new` than this can have it as its nearest
+        reach = np.sqrt(np.max(distance) if np.ndim(spacing) else distance[new])
+        near = tree.query_ball_point(cloud[new], reach * (1 + 1e-9))
+        closer = np.minimum(distance[near], np.sum((cloud[near] - cloud[new]) ** 2, 1))
+        distance[near], score[near] = closer, closer * scale[near]
     return chosen
 
 

@@ -2,15 +2,19 @@
 
 E(w) = sum_q weight_q phi(A_q w), so its Hessian is sum_q A_q^T (weight_q D^2 phi) A_q.
 `gauss_newton` replaces D^2 phi by 2 R^T R, R the Jacobian of the residuals through
-projector and projection: always positive semidefinite. `exact` differentiates twice.
+projector and projection: always positive semidefinite, and assembled. `exact`
+differentiates twice and is only ever multiplied with vectors: its solver iterates, with
+the factor of a Gauss-Newton matrix near by.
 """
 
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ._densities import geodesic_loss, off_manifold_residual, project_flat
 from ._jets import jet_values
@@ -21,9 +25,57 @@ from ._objective import (
     data_weights,
     energy_residual,
 )
-from ._sparse import Scatter, SparseSymmetric, scatter_add
+from ._problem import Problem
+from ._sparse import SparseSymmetric, declare_symmetric, scatter_add
 
 VALUE = np.array([0])  # the row of a jet that the loss sees
+CHUNK = 64  # elements assembled at a time: bounds the memory
+
+
+class PointHessians(eqx.Module):
+    """Weighted second derivatives of the densities in the jets, at every point."""
+
+    energy: Float[Array, "e p Jt Jt"]
+    data: Float[Array, "d r t t"]
+
+
+class ExactHessian(lx.AbstractLinearOperator):
+    """Not assembled: sum_q A_q^T (weight_q D^2 phi) A_q v is as quick as a gradient."""
+
+    problem: Problem
+    local: PointHessians
+    rows: tuple[int, ...] = eqx.field(static=True)
+    """Of a jet, those in `local.energy`."""
+    model: SparseSymmetric | None
+    """A positive definite operator near it."""
+
+    def mv(self, vector):
+        families = (
+            (self.problem.energy_jets, np.array(self.rows), self.local.energy),
+            (self.problem.data_jets, VALUE, self.local.data),
+        )
+        product = jnp.zeros_like(vector)
+        for jets, rows, local in families:
+            jet, pull = jax.vjp(lambda v: jet_values(jets, v)[:, :, rows], vector)
+            bent = jnp.einsum("epij,epj->epi", local, jet.reshape(local.shape[:-1]))
+            product += pull(bent.reshape(jet.shape))[0]
+        return product
+
+    def as_matrix(self):
+        return assembled(self.problem, self.local, np.array(self.rows)).as_matrix()
+
+    def transpose(self):
+        return self
+
+    def in_structure(self):
+        shape = (self.problem.pattern.size, self.local.data.shape[-1])
+        return jax.eval_shape(lambda: jnp.zeros(shape, self.local.data.dtype))
+
+    def out_structure(self):
+        return self.in_structure()
+
+
+declare_symmetric(ExactHessian)
 
 
 def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
@@ -40,20 +92,25 @@ def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
         return 2.0 * jnp.einsum("aepr,bepr->epab", factor, factor)
 
     landed = lambda target, jet: project_flat(target, jet[0])
-    energy, data = stage.problem.energy_jets, stage.problem.data_jets
-    return _assemble(
-        stage,
+    problem, rows = stage.problem, _rows(stage)
+    energy, data = problem.energy_jets, problem.data_jets
+    local = _weighted(
+        problem,
         gram(
             lambda j: at_quadrature(stage, residuals, j),
             jet_values(energy, w),
-            _rows(stage),
+            rows,
         ),
         gram(lambda j: at_data(stage, landed, j), jet_values(data, w), VALUE),
     )
+    return assembled(problem, local, rows)
 
 
-def exact(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
-    """May be indefinite, away from a minimum: not for Cholesky."""
+def exact(
+    w: Float[Array, "KC t"], stage: Stage, model: SparseSymmetric | None = None
+) -> ExactHessian:
+    """May be indefinite, away from a minimum. `model`: of `gauss_newton`, at a map near
+    by; iterative solvers need it."""
 
     def density(target, jet):
         off = off_manifold_residual(target, jet[0])
@@ -68,17 +125,22 @@ def exact(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
         columns = _derivatives(lambda jets: gradient(jets)[:, :, rows], jets, rows)
         return jnp.moveaxis(columns.reshape(*columns.shape[:3], -1), 0, 2)
 
-    energy, data = stage.problem.energy_jets, stage.problem.data_jets
-    y = stage.problem.y[data.index]
-    return _assemble(
-        stage,
+    problem, rows = stage.problem, _rows(stage)
+    energy, data = problem.energy_jets, problem.data_jets
+    y = problem.y[data.index]
+    local = _weighted(
+        problem,
         hessian(
             lambda j: at_quadrature(stage, density, j),
             jet_values(energy, w),
-            _rows(stage),
+            rows,
         ),
         hessian(lambda j: at_data(stage, loss, j, y), jet_values(data, w), VALUE),
     )
+    if model is not None:
+        # a pattern carried through a loop would be batched under vmap
+        model = SparseSymmetric(model.blocks, problem.pattern)
+    return ExactHessian(problem, local, tuple(rows.tolist()), model)
 
 
 def _derivatives(f, jets: Float[Array, "e p J t"], rows) -> Float[Array, "jt e p ..."]:
@@ -100,36 +162,55 @@ def _rows(stage: Stage) -> np.ndarray:
     return rows if stage.projected else np.delete(rows, np.arange(1, 1 + m))
 
 
-def _assemble(
-    stage: Stage, energy: Float[Array, "e p Jt Jt"], data: Float[Array, "d r t t"]
+def _weighted(problem: Problem, energy, data) -> PointHessians:
+    return PointHessians(
+        energy * problem.energy_weights[:, :, None, None],
+        data * data_weights(problem)[:, :, None, None],
+    )
+
+
+def assembled(
+    problem: Problem, local: PointHessians, energy_rows: np.ndarray
 ) -> SparseSymmetric:
-    problem, t = stage.problem, stage.problem.y.shape[1]
-    blocks = jnp.zeros((len(problem.pattern.rows), t, t))
-    energy = energy * problem.energy_weights[:, :, None, None]
-    data = data * data_weights(problem)[:, :, None, None]
-    for local, jets, rows, scatters in (
-        (energy, problem.energy_jets, _rows(stage), problem.energy_scatters),
-        (data, problem.data_jets, VALUE, problem.data_scatters),
+    """sum_q A_q^T local_q A_q."""
+    pattern, t = problem.pattern, problem.y.shape[1]
+    b = pattern.functions * t
+    blocks = jnp.zeros((len(pattern.rows), b, b))
+    for local_hessians, jets, rows, places in (
+        (local.energy, problem.energy_jets, energy_rows, problem.energy_places),
+        (local.data, problem.data_jets, VALUE, problem.data_places),
     ):
-        for (start, stop, U), scatter in zip(jets.buckets, scatters, strict=True):
+        for (start, stop, U), into in zip(jets.buckets, places, strict=True):
             matrices = jets.matrices[start:stop, :, rows, :U]
-            blocks = _add(blocks, local[start:stop], matrices, scatter)
-    return SparseSymmetric(blocks, problem.pattern)
+            blocks = _add(blocks, local_hessians[start:stop], matrices, into)
+    return SparseSymmetric(blocks, pattern)
 
 
 def _add(
-    blocks,
+    blocks: Float[Array, "nnz b b"],
     local: Float[Array, "e p Jt Jt"],
     matrices: Float[Array, "e p J U"],
-    scatter: Scatter,
+    into: Int[Array, "e pairs"],
 ):
-    """Add A^T local A of all points: one dense product an element, of the t(t+1)/2 pairs
-    of components a <= b, then a scatter."""
-    t = blocks.shape[-1]
+    """Add A^T local A of all points, a chunk of elements at a time."""
+    arrays = (local, matrices, into)
+    chunks, rest = divmod(len(local), CHUNK)
+    first = [a[: chunks * CHUNK].reshape(chunks, CHUNK, *a.shape[1:]) for a in arrays]
+    last = [a[chunks * CHUNK :] for a in arrays]
+    add = lambda blocks, arrays: (_add_chunk(blocks, *arrays), None)
+    if chunks:
+        blocks, _ = jax.lax.scan(add, blocks, first)
+    return _add_chunk(blocks, *last) if rest else blocks
+
+
+def _add_chunk(blocks, local, matrices, into):
+    """One dense product an element, then a scatter."""
     e, p, J, U = matrices.shape
-    a, b = np.triu_indices(t)
-    pairs = jnp.moveaxis(local.reshape(e, p, J, t, J, t)[:, :, :, a, :, b], 0, 3)
-    terms = [pairs[..., k, None] * matrices[:, :, None, None, k, :] for k in range(J)]
-    half = functools.reduce(jnp.add, terms).reshape(e, p * J, len(a) * U)
+    t = local.shape[-1] // J
+    local = local.reshape(e, p, J, t, J, 1, t)
+    terms = [
+        local[:, :, :, :, k] * matrices[:, :, None, None, k, :, None] for k in range(J)
+    ]
+    half = functools.reduce(jnp.add, terms).reshape(e, p * J, t * U * t)
     whole = jnp.einsum("equ,eqv->euv", matrices.reshape(e, p * J, U), half)
-    return scatter_add(blocks, scatter, whole.reshape(e, U, len(a), U))
+    return scatter_add(blocks, into, whole.reshape(e, U * t, U * t))

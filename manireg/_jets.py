@@ -17,8 +17,7 @@ from scipy.spatial import KDTree
 from ._local_polynomials import LocalPolynomials, basis_values
 
 POINTS_IN_ELEMENT = 24  # at most; 13 to 24 come out
-DATA_IN_ELEMENT = 4
-BUCKET = 512  # elements assembled at a time: bounds the memory
+DATA_IN_ELEMENT = 4  # at least: more when data are dense, so that elements stay few
 
 
 class Jets(eqx.Module):
@@ -53,8 +52,10 @@ def in_order(jets: Jets, values: Float[Array, "e p t"], k: int) -> Float[Array, 
     return jnp.zeros((k, values.shape[2])).at[jets.index].add(values)
 
 
-def bucket_columns(jets: Jets) -> list[Int[Array, "e U"]]:
-    return [jets.columns[start:stop, :U] for start, stop, U in jets.buckets]
+def bucket_centres(jets: Jets, functions: int) -> list[Int[np.ndarray, "_ _"]]:
+    """The centres of the elements of each bucket, negative for padding."""
+    near = np.asarray(jets.columns)[:, ::functions] // functions
+    return [near[start:stop, : U // functions] for start, stop, U in jets.buckets]
 
 
 def second_derivative_pairs(m: int) -> list[tuple[int, int]]:
@@ -80,7 +81,7 @@ def value_jets(
 ) -> Jets:
     """Values only. Shapes depend on the number of points and, as far as possible, on
     `energy_jets`, not on where the points lie: new data reuse a compiled program."""
-    p = DATA_IN_ELEMENT
+    p = max(DATA_IN_ELEMENT, -(-len(points) // len(energy_jets.columns)))
     overlap = energy_jets.columns.shape[1] // basis.size
     index, mask, near = map(
         jnp.asarray, _elements(basis, np.asarray(points), p, overlap)
@@ -91,10 +92,31 @@ def value_jets(
     return Jets(matrices, columns, index, mask, ((0, e, U),))
 
 
+def centres_near(
+    basis: LocalPolynomials, points: Float[np.ndarray, "n s"]
+) -> Int[np.ndarray, "n L"]:
+    """The centres whose support holds each point; -1 is padding. Host."""
+    supported, centre = _supports(basis, points)
+    order = np.argsort(supported, kind="stable")
+    near = np.split(
+        centre[order], np.cumsum(np.bincount(supported, minlength=len(points)))
+    )
+    # few shapes, few compilations
+    most = max(map(len, near), default=0)
+    return _padded(near[:-1], [-1] * len(points), least=-(-max(most, 1) // 8) * 8)[0]
+
+
+def _supports(basis: LocalPolynomials, points: np.ndarray):
+    """Indices of points and centres, for every point in the support of a centre."""
+    radii = np.asarray(basis.widths) * (1 - 1e-12)
+    inside = KDTree(points).query_ball_point(np.asarray(basis.centres), radii)
+    supported = np.concatenate([np.asarray(own, dtype=int) for own in inside])
+    return supported, np.repeat(np.arange(len(radii)), [len(own) for own in inside])
+
+
 def _buckets(near, basis: LocalPolynomials) -> tuple[tuple[int, int, int], ...]:
     e = len(near)
-    count = 1 if e < BUCKET // 2 else max(4, -(-e // BUCKET))
-    edges = np.linspace(0, e, count + 1).astype(int)
+    edges = np.linspace(0, e, 2 if e < 256 else 5).astype(int)
     return tuple(
         (int(start), int(stop), int(np.sum(near[stop - 1] >= 0)) * basis.size)
         for start, stop in zip(edges[:-1], edges[1:])
@@ -145,19 +167,16 @@ def _elements(
     element = np.zeros(len(points), dtype=int)
     for e, cell in enumerate(cells):
         element[cell] = e
-    reached = np.zeros(len(points), dtype=bool)
-    near: list[list[int]] = [[] for _ in cells]
-    tree, widths = KDTree(points), np.asarray(basis.widths)
-    inside = tree.query_ball_point(np.asarray(basis.centres), widths * (1 - 1e-12))
-    for centre, supported in enumerate(inside):
-        reached[supported] = True
-        for e in np.unique(element[supported]):
-            near[e].append(centre)
-    if not np.all(reached):
+    supported, centre = _supports(basis, points)
+    uncovered = len(points) - len(np.unique(supported))
+    if uncovered:
         raise ValueError(
-            f"centres: {np.sum(~reached)} of {len(points)} points lie outside the "
+            f"centres: {uncovered} of {len(points)} points lie outside the "
             "support of every centre (no cover); use more centres or larger widths."
         )
+    K = len(basis.centres)
+    reaching, centre = np.divmod(np.unique(element[supported] * K + centre), K)
+    near = np.split(centre, np.searchsorted(reaching, np.arange(1, len(cells))))
     order = sorted(range(len(cells)), key=lambda e: len(near[e]))
     cells, near = [cells[e] for e in order], [near[e] for e in order]
     index, filled = _padded(cells, [cell[0] for cell in cells])

@@ -81,7 +81,10 @@ def _monomial(local: Float[Array, "L s"], exponents: tuple[int, ...]):
     return total
 
 
-def cover(basis: LocalPolynomials, x: Float[Array, " s"]) -> Float[Array, ""]:
-    """sum_i k_i(x): zero where no centre reaches, so Psi is undefined."""
-    offset = (x - basis.centres) / basis.widths[:, None]
-    return jnp.sum(kernel(jnp.sum(offset**2, axis=1)))
+def cover(
+    basis: LocalPolynomials, x: Float[Array, " s"], near: Int[Array, " L"]
+) -> Float[Array, ""]:
+    """sum_i k_i(x) over the centres `near`, as for `basis_values`: zero where no centre
+    reaches, so Psi is undefined."""
+    offset = (x - basis.centres[near]) / basis.widths[near, None]
+    return jnp.sum(jnp.where(near < 0, 0.0, kernel(jnp.sum(offset**2, axis=1))))

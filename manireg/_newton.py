@@ -29,6 +29,7 @@ class _NewtonState(eqx.Module):
     f_info: Any
     aux: Any
     descent_state: Any
+    model: Any
     near: Bool[Array, ""]
     num_accepted_steps: Int[Array, ""]
     # used for termination
@@ -75,6 +76,7 @@ class Newton(optx.AbstractMinimiser):
             f_info=_zeros(f_info),
             aux=_zeros(aux_struct),
             descent_state=self.model_descent.init(y, with_hessian),
+            model=_zeros(hessian),
             near=jnp.array(False),
             num_accepted_steps=jnp.array(0),
             terminate=jnp.array(False),
@@ -99,29 +101,35 @@ class Newton(optx.AbstractMinimiser):
             f_info = optx.FunctionInfo.EvalGrad(f_eval, grad)
 
             def query(descent, hessian):
-                info = optx.FunctionInfo.EvalGradHessian(
-                    f_eval, grad, hessian(state.y_eval, args)
-                )
+                info = optx.FunctionInfo.EvalGradHessian(f_eval, grad, hessian)
                 new_state = descent.query(state.y_eval, info, state.descent_state)
-                step, _ = descent.step(jnp.ones_like(f_eval), new_state)
-                return new_state, -0.5 * f_info.compute_grad_dot(step)
+                step, result = descent.step(jnp.ones_like(f_eval), new_state)
+                decrease = -0.5 * f_info.compute_grad_dot(step)
+                solved = result == optx.RESULTS.successful
+                return new_state, jnp.where(solved, decrease, -1.0)
+
+            def query_exact():
+                hessian = self.exact_hessian(state.y_eval, args, state.model)
+                return *query(self.exact_descent, hessian), state.model
+
+            def query_model():
+                hessian = self.model_hessian(state.y_eval, args)
+                return *query(self.model_descent, hessian), hessian
 
             exact = jax.lax.cond(
                 state.near,
-                lambda: query(self.exact_descent, self.exact_hessian),
-                lambda: (state.descent_state, jnp.full_like(f_eval, -1.0)),
+                query_exact,
+                lambda: (state.descent_state, jnp.full_like(f_eval, -1.0), state.model),
             )
             downhill = jnp.isfinite(exact[1]) & (exact[1] > 0)
-            descent_state, decrease = jax.lax.cond(
-                downhill,
-                lambda: exact,
-                lambda: query(self.model_descent, self.model_hessian),
+            descent_state, decrease, model = jax.lax.cond(
+                downhill, lambda: exact, query_model
             )
             near = decrease < self.near * jnp.abs(f_eval)
             rounding = 8 * jnp.finfo(f_eval.dtype).eps * jnp.abs(f_eval)
             tolerance = self.atol + self.rtol * jnp.abs(f_eval) + rounding
             done = decrease <= tolerance
-            return state.y_eval, f_info, aux_eval, descent_state, near, done
+            return state.y_eval, f_info, aux_eval, descent_state, model, near, done
 
         def rejected():
             unfinished = jnp.array(False)
@@ -130,11 +138,12 @@ class Newton(optx.AbstractMinimiser):
                 state.f_info,
                 state.aux,
                 state.descent_state,
+                state.model,
                 state.near,
                 unfinished,
             )
 
-        y, f_info, aux, descent_state, near, terminate = jax.lax.cond(
+        y, f_info, aux, descent_state, model, near, terminate = jax.lax.cond(
             accept, accepted, rejected
         )
         step, descent_result = self.model_descent.step(step_size, descent_state)
@@ -151,6 +160,7 @@ class Newton(optx.AbstractMinimiser):
             f_info=f_info,
             aux=aux,
             descent_state=descent_state,
+            model=model,
             near=near,
             num_accepted_steps=state.num_accepted_steps + accept,
             terminate=terminate,

@@ -3,15 +3,15 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from ._checks import check_data, check_x64
 from ._domain import Domain, centres_of, discretise
 from ._farthest_points import local_spacings
-from ._jets import Jets, bucket_columns, jets_of, value_jets
+from ._jets import Jets, bucket_centres, jets_of, value_jets
 from ._local_polynomials import LocalPolynomials, local_polynomials
 from ._sources import Ambient, Source, sampled, sampled_dim
-from ._sparse import Scatter, SparsityPattern, sparsity
+from ._sparse import SparsityPattern, sparsity
 from .manifolds import AbstractManifold, PointCloud
 
 
@@ -37,9 +37,9 @@ class Problem(eqx.Module):
     y: Float[Array, "k t"]
     weights: Float[Array, " k"]
     pattern: SparsityPattern
-    energy_scatters: tuple[Scatter, ...]
-    """One for each bucket of elements."""
-    data_scatters: tuple[Scatter, ...]
+    energy_places: tuple[Int[Array, "_ _"], ...]
+    """For each bucket of elements, where its pairs of centres are in the pattern."""
+    data_places: tuple[Int[Array, "_ _"], ...]
 
     @property
     def volume(self) -> Float[Array, ""]:
@@ -121,11 +121,9 @@ def assemble_problem(source, target, basis, domain: Domain, x, y, weights) -> Pr
         flat = jnp.zeros_like(domain.second_forms)
         free_jets = jets_of(basis, domain.points, domain.frames, flat)
     data_jets = value_jets(basis, x, energy_jets)
-    families = bucket_columns(energy_jets), bucket_columns(data_jets)
-    pattern, scatters = sparsity(
-        [*families[0], *families[1]], len(basis.centres) * basis.size
-    )
-    energy_scatters = scatters[: len(families[0])]
+    energy, data = (bucket_centres(j, basis.size) for j in (energy_jets, data_jets))
+    supports = np.asarray(basis.centres), np.asarray(basis.widths)
+    pattern, places = sparsity([*energy, *data], *supports, basis.size)
     return Problem(
         source=source,
         target=target,
@@ -138,6 +136,6 @@ def assemble_problem(source, target, basis, domain: Domain, x, y, weights) -> Pr
         y=y,
         weights=weights,
         pattern=pattern,
-        energy_scatters=energy_scatters,
-        data_scatters=scatters[len(energy_scatters) :],
+        energy_places=places[: len(energy)],
+        data_places=places[len(energy) :],
     )

@@ -7,11 +7,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from ._checks import check_lam, check_points, is_concrete
 from ._hessian import exact, gauss_newton
+from ._jets import centres_near
 from ._linear_solvers import DirectSolvers, direct_solvers
 from ._local_polynomials import LocalPolynomials, basis_values, cover
 from ._minimise import Method, minimise, newton_minimiser, stage_of
@@ -57,17 +59,28 @@ class RegressionMap(eqx.Module):
         return self.target.project(values.reshape(-1, *self.target.point_shape))
 
 
-@eqx.filter_jit
 def evaluate(
     basis: LocalPolynomials, w: Float[Array, "KC t"], x: Float[Array, "n s"]
 ) -> tuple[Float[Array, "n t"], Array]:
-    """Psi at `x`, before the projection to N; and whether all of `x` is covered."""
+    """Psi at `x`, before the projection to N; and whether all of `x` is covered. Traced
+    points are compared with all centres, others only with those near them."""
+    concrete = is_concrete(x, basis.centres, basis.widths)
+    near = jnp.asarray(centres_near(basis, np.asarray(x))) if concrete else None
+    return _evaluate(basis, w, x, near)
+
+
+@eqx.filter_jit
+def _evaluate(basis, w, x, near):
     everywhere = jnp.arange(len(basis.centres))
+    w = w.reshape(len(basis.centres), basis.size, -1)
 
-    def one(x):
-        return basis_values(basis, x, everywhere) @ w, cover(basis, x) > 1e-6
+    def one(x, near=everywhere):
+        values = basis_values(basis, x, near).reshape(len(near), -1)
+        psi = jnp.einsum("lc,lct->t", values, w[near])
+        return psi, cover(basis, x, near) > 1e-6
 
-    values, covered = jax.lax.map(one, x, batch_size=256)
+    points = (x,) if near is None else (x, near)
+    values, covered = jax.lax.map(lambda point: one(*point), points, batch_size=256)
     return values, jnp.all(covered)
 
 
@@ -168,9 +181,11 @@ def free_solution(
     w = jnp.zeros((problem.pattern.size, problem.y.shape[1]))
     stage = Stage(free, lam, 0.0, False)
     gradient = jax.grad(lambda w: objective(w, stage)[0])(w)
-    matrix = gauss_newton(w, stage)
-    # no `throw`: it would be a callback, and those neither run on every device nor cache
-    return -lx.linear_solve(matrix, gradient, solvers.positive, throw=False).value
+    # every coordinate has the same matrix
+    coordinate = lambda s: (s.problem.target, s.problem.y)
+    one = eqx.tree_at(coordinate, stage, (Euclidean(1), problem.y[:, :1]))
+    factor = solvers.positive.init(gauss_newton(w[:, :1], one), {})
+    return -solvers.positive.compute(factor, gradient[:, None], {})[0][:, 0]
 
 
 def free_problem(problem: Problem) -> Problem:
@@ -191,5 +206,6 @@ def _(primals, tangents):
     stage, w, solvers = primals
     gradient = lambda stage: jax.grad(lambda w: objective(w, stage)[0])(w)
     _, moved = eqx.filter_jvp(gradient, (stage,), (tangents[0],))
-    hessian = exact(w, stage)
+    hessian = exact(w, stage, gauss_newton(w, stage))
+    # no `throw`: it would be a callback, and those neither run on every device nor cache
     return w, -lx.linear_solve(hessian, moved, solvers.indefinite, throw=False).value

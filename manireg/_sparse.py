@@ -12,55 +12,62 @@ from jaxtyping import Array, Float, Int
 
 
 class SparsityPattern(eqx.Module):
-    """Upper triangle, block by block: rows <= cols, diagonal blocks whole."""
+    """Which pairs of centres interact: rows <= cols, every centre with itself. A block
+    holds all unknowns of the two, so there are few indices and each moves much data."""
 
     rows: Int[Array, " nnz"]
     cols: Int[Array, " nnz"]
-    size: int = eqx.field(static=True)
+    centres: int = eqx.field(static=True)
+    functions: int = eqx.field(static=True)
+    """Basis functions of each centre."""
 
-
-class Scatter(eqx.Module):
-    """Where the entries of dense element matrices (e, U, U) go in a pattern."""
-
-    take: Int[Array, " kept"]
-    """Flat indices of the entries in the upper triangle."""
-    into: Int[Array, " kept"]
-    """Index in the pattern; past its end for padding."""
+    @property
+    def size(self) -> int:
+        """Basis functions in all."""
+        return self.centres * self.functions
 
 
 class SparseSymmetric(lx.AbstractLinearOperator):
-    """Symmetric operator on arrays `(size, t)`."""
+    """Symmetric operator on arrays `(size, t)`. Blocks have b = functions t rows; those
+    on the diagonal are whole, both triangles."""
 
-    blocks: Float[Array, "nnz t t"]
+    blocks: Float[Array, "nnz b b"]
     pattern: SparsityPattern
+
+    @property
+    def t(self) -> int:
+        return self.blocks.shape[-1] // self.pattern.functions
 
     def mv(self, vector):
         rows, cols = self.pattern.rows, self.pattern.cols
-        upper = jnp.einsum("nst,nt->ns", self.blocks, vector[cols])
-        lower = jnp.einsum("nst,ns->nt", self.blocks, vector[rows])
+        by_centre = vector.reshape(self.pattern.centres, -1)
+        upper = jnp.einsum("nij,nj->ni", self.blocks, by_centre[cols])
+        lower = jnp.einsum("nij,ni->nj", self.blocks, by_centre[rows])
         lower = jnp.where((rows == cols)[:, None], 0.0, lower)
-        return jnp.zeros_like(vector).at[rows].add(upper).at[cols].add(lower)
+        product = jnp.zeros_like(by_centre).at[rows].add(upper).at[cols].add(lower)
+        return product.reshape(vector.shape)
 
     def as_matrix(self):
-        size, t = self.pattern.size, self.blocks.shape[-1]
+        K, b = self.pattern.centres, self.blocks.shape[-1]
         rows, cols = self.pattern.rows, self.pattern.cols
-        upper = jnp.zeros((size, size, t, t)).at[rows, cols].set(self.blocks)
+        upper = jnp.zeros((K, K, b, b)).at[rows, cols].set(self.blocks)
         full = upper.at[cols, rows].set(self.blocks.transpose(0, 2, 1))
-        return full.transpose(0, 2, 1, 3).reshape(size * t, size * t)
+        return full.transpose(0, 2, 1, 3).reshape(K * b, K * b)
 
     def diagonal(self) -> Float[Array, "size t"]:
         own = jnp.diagonal(self.blocks, axis1=1, axis2=2)
         diagonal_only = self.pattern.rows == self.pattern.cols
-        index = jnp.where(diagonal_only, self.pattern.rows, self.pattern.size)
-        shape = (self.pattern.size, own.shape[1])
-        return jnp.zeros(shape, own.dtype).at[index].set(own, mode="drop")
+        index = jnp.where(diagonal_only, self.pattern.rows, self.pattern.centres)
+        shape = (self.pattern.centres, own.shape[1])
+        diagonal = jnp.zeros(shape, own.dtype).at[index].set(own, mode="drop")
+        return diagonal.reshape(self.pattern.size, self.t)
 
-    def coordinates(self) -> tuple[Int[Array, "nnz t t"], Int[Array, "nnz t t"]]:
+    def coordinates(self) -> tuple[Int[Array, "nnz b b"], Int[Array, "nnz b b"]]:
         """Row and column of every stored number in the matrix of `as_matrix`."""
-        t = self.blocks.shape[-1]
-        inside = jnp.arange(t, dtype=self.pattern.rows.dtype)
-        i = self.pattern.rows[:, None, None] * t + inside[:, None]
-        j = self.pattern.cols[:, None, None] * t + inside[None, :]
+        b = self.blocks.shape[-1]
+        inside = jnp.arange(b, dtype=self.pattern.rows.dtype)
+        i = self.pattern.rows[:, None, None] * b + inside[:, None]
+        j = self.pattern.cols[:, None, None] * b + inside[None, :]
         shape = self.blocks.shape
         return jnp.broadcast_to(i, shape), jnp.broadcast_to(j, shape)
 
@@ -68,70 +75,73 @@ class SparseSymmetric(lx.AbstractLinearOperator):
         return self
 
     def in_structure(self):
-        shape = (self.pattern.size, self.blocks.shape[-1])
         # as inside a traced function: in a shard_map types carry the mesh
+        shape = (self.pattern.size, self.t)
         return jax.eval_shape(lambda: jnp.zeros(shape, self.blocks.dtype))
 
     def out_structure(self):
         return self.in_structure()
 
 
-# lineax asks these by singledispatch when a solve is built, differentiated or transposed
-lx.is_symmetric.register(SparseSymmetric)(lambda _: True)
-for _query in (
-    lx.is_diagonal, lx.is_tridiagonal, lx.is_lower_triangular, lx.is_upper_triangular,
-    lx.has_unit_diagonal, lx.is_positive_semidefinite, lx.is_negative_semidefinite,
-):  # fmt: skip
-    _query.register(SparseSymmetric)(lambda _: False)
-for _same in (lx.linearise, lx.materialise, lx.conj):
-    _same.register(SparseSymmetric)(lambda operator: operator)
+def declare_symmetric(operator: type[lx.AbstractLinearOperator]) -> None:
+    """Answer what lineax asks by singledispatch when a solve is built, differentiated or
+    transposed."""
+    lx.is_symmetric.register(operator)(lambda _: True)
+    for query in (
+        lx.is_diagonal, lx.is_tridiagonal, lx.is_lower_triangular,
+        lx.is_upper_triangular, lx.has_unit_diagonal, lx.is_positive_semidefinite,
+        lx.is_negative_semidefinite,
+    ):  # fmt: skip
+        query.register(operator)(lambda _: False)
+    for same in (lx.linearise, lx.materialise, lx.conj):
+        same.register(operator)(lambda operator: operator)
 
 
-def sparsity(families_of_columns: Sequence[Int[Array, "e U"]], size: int):
-    """Pattern of a sum of element matrices, each family given by its columns (negative:
-    padding). Returns the pattern and a tuple with a `Scatter` for each family. Host."""
+declare_symmetric(SparseSymmetric)
+
+
+def sparsity(
+    families_of_centres: Sequence[Int[np.ndarray, "_ _"]],
+    points: Float[np.ndarray, "K s"],
+    radii: Float[np.ndarray, " K"],
+    functions: int,
+) -> tuple[SparsityPattern, tuple[Int[Array, "_ _"], ...]]:
+    """Pattern of a sum of element matrices. Host.
+
+    **Arguments:** `families_of_centres`: for each family of elements their centres,
+    ascending (negative: padding, last); `points`, `radii` the centres' supports, for an
+    element has pairs of centres that no point of it sees together.
+    **Returns** the pattern, and for each family the places in it of the element's pairs
+    of centres i <= j, past its end where there is nothing to add.
+    """
+    K = len(points)
     families = []
-    for columns in families_of_columns:
-        columns = np.asarray(columns, dtype=np.int64)  # ascending, padding last
-        e, U = columns.shape
-        i, j = np.triu_indices(U)
-        keys = columns[:, i] * size + columns[:, j]
-        keys[columns[:, j] < 0] = size**2
-        take = np.arange(e)[:, None] * U**2 + i * U + j
-        families.append((take.ravel(), keys.ravel()))
-    diagonal = np.arange(size) * (size + 1)
-    entries = np.unique(np.concatenate([*(keys for _, keys in families), diagonal]))
-    entries = entries[entries < size**2]
-    rows, cols = (jnp.asarray(a, dtype=jnp.int32) for a in np.divmod(entries, size))
-    scatters = []
-    for take, keys in families:
-        into = np.searchsorted(entries, keys)
-        order = np.argsort(into, kind="stable")
-        scatters.append(
-            Scatter(
-                jnp.asarray(take[order], dtype=jnp.int32),
-                jnp.asarray(into[order], dtype=jnp.int32),
-            )
-        )
-    return SparsityPattern(rows, cols, size), tuple(scatters)
+    for near in families_of_centres:
+        near = np.asarray(near, dtype=np.int64)
+        i, j = np.triu_indices(near.shape[1])
+        first, second = near[:, i], near[:, j]
+        apart = np.sqrt(sum((x[first] - x[second]) ** 2 for x in points.T))
+        meet = (second >= 0) & (apart < radii[first] + radii[second])
+        families.append(np.where(meet, first * K + second, K**2))
+    diagonal = np.arange(K) * (K + 1)
+    entries = np.unique(np.concatenate([*map(np.unique, families), diagonal]))
+    entries = entries[entries < K**2]
+    rows, cols = (jnp.asarray(a, dtype=jnp.int32) for a in np.divmod(entries, K))
+    places = (np.searchsorted(entries, keys) for keys in families)
+    return (
+        SparsityPattern(rows, cols, K, functions),
+        tuple(jnp.asarray(into, dtype=jnp.int32) for into in places),
+    )
 
 
 def scatter_add(
-    blocks: Float[Array, "nnz t t"],
-    scatter: Scatter,
-    elements: Float[Array, "e U pairs U"],
-) -> Float[Array, "nnz t t"]:
-    """Add element matrices to the blocks of a pattern; of their components a, b only
-    a <= b are given, the others are those of the transposed entry."""
-    t = blocks.shape[-1]
-    e, U, pairs, _ = elements.shape
-    flat = elements.transpose(0, 1, 3, 2).reshape(-1, pairs)
-    element, entry = jnp.divmod(scatter.take, U * U)
-    mirrored = element * U * U + entry % U * U + entry // U
-    both = jnp.concatenate([flat[scatter.take], flat[mirrored]], axis=1)
-    a, b = np.triu_indices(t)
-    place = np.zeros((t, t), dtype=int)
-    place[b, a] = pairs + np.arange(pairs)
-    place[a, b] = np.arange(pairs)
-    added = blocks.at[scatter.into]
-    return added.add(both[:, place], indices_are_sorted=True, mode="drop")
+    blocks: Float[Array, "nnz b b"],
+    into: Int[Array, "e pairs"],
+    elements: Float[Array, "e Lb Lb"],
+) -> Float[Array, "nnz b b"]:
+    """Add symmetric element matrices to the blocks of a pattern."""
+    e, b = len(elements), blocks.shape[-1]
+    L = elements.shape[1] // b
+    i, j = np.triu_indices(L)
+    by_centre = elements.reshape(e, L, b, L, b).transpose(0, 1, 3, 2, 4)
+    return blocks.at[into].add(by_centre[:, i, j], mode="drop")

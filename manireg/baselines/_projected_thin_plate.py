@@ -5,21 +5,18 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, ScalarLike
 
 from .._checks import check_lam
 from .._folds import evaluated, held_out_error, training_sets
-from .._hessian import gauss_newton
 from .._jets import values_at_data
-from .._linear_solvers import direct_solvers
+from .._linear_solvers import DirectSolvers, direct_solvers
 from .._local_polynomials import LocalPolynomials
-from .._objective import Stage, objective
 from .._problem import Problem, make_problem
 from .._selection import lambda_grid
-from .._solve import evaluate, free_problem
+from .._solve import evaluate, free_solution
 from .._sources import Source
-from ..manifolds import AbstractManifold, Euclidean
+from ..manifolds import AbstractManifold
 from ._inputs import check_choice, flat_inputs
 
 
@@ -90,9 +87,10 @@ def projected_thin_plate(
         degree=degree,
         width=width,
     )
-    solver = direct_solvers(linear_algebra).positive
+    solvers = direct_solvers(linear_algebra)
+    spline = eqx.filter_jit(free_solution)
     build = lambda lam, grid, scores: ProjectedThinPlate(
-        source, target, problem.basis, _spline(problem, lam, solver), lam, grid, scores
+        source, target, problem.basis, spline(problem, lam, solvers), lam, grid, scores
     )
     if lam is not None:
         check_lam(lam)
@@ -104,23 +102,9 @@ def projected_thin_plate(
     else:
         check_lam(lams, "lams")
         grid = jnp.sort(jnp.asarray(lams, float).ravel())
-    evaluate = lambda grid: (_scores(problem, training, grid, solver),)
+    evaluate = lambda grid: (_scores(problem, training, grid, solvers),)
     grid, (scores,), best = evaluated(grid, evaluate, widen=lams is None)
     return build(grid[best], grid, scores)
-
-
-@eqx.filter_jit
-def _spline(problem: Problem, lam, solver) -> Float[Array, "KC t"]:
-    """Every coordinate has the same matrix: factorise it once."""
-    free = free_problem(problem)
-    stage = Stage(free, lam, 0.0, False)
-    zero = jnp.zeros((problem.pattern.size, problem.y.shape[1]))
-    gradient = jax.grad(lambda w: objective(w, stage)[0])(zero)
-    coordinate = lambda s: (s.problem.target, s.problem.y)
-    scalar = eqx.tree_at(coordinate, stage, (Euclidean(1), problem.y[:, :1]))
-    matrix = gauss_newton(zero[:, :1], scalar)
-    column = lambda g: lx.linear_solve(matrix, g[:, None], solver).value[:, 0]
-    return -jax.vmap(column, in_axes=1, out_axes=1)(gradient)
 
 
 @eqx.filter_jit
@@ -128,14 +112,11 @@ def _scores(
     problem: Problem,
     training: Bool[Array, "folds k"],
     lams: Float[Array, " lams"],
-    solver,
+    solvers: DirectSolvers,
 ) -> Float[Array, "folds lams"]:
     def one(fold, lam):
-        w = _spline(
-            eqx.tree_at(lambda p: p.weights, problem, problem.weights * fold),
-            lam,
-            solver,
-        )
+        inside = eqx.tree_at(lambda p: p.weights, problem, problem.weights * fold)
+        w = free_solution(inside, lam, solvers)
         values = values_at_data(problem.data_jets, w, len(problem.y))
         shape = problem.target.point_shape
         predicted = problem.target.project(values.reshape(-1, *shape))

@@ -104,11 +104,11 @@ def voronoi_areas(points, normals, frames, near, distance):
     radius = np.median(distance[:, :ring], axis=1)
     areas = np.zeros(len(points))
     for chunk in np.array_split(np.arange(len(points)), max(1, len(points) // 2000)):
-        samples = radius[chunk, None, None] * disc
         offset = points[near[chunk]] - points[chunk, None]
         u = np.einsum("pks,psm->pkm", offset, frames[chunk])
-        # |x - u|^2 > |x|^2  <=>  2 x.u < |u|^2
-        own = 2 * np.einsum("pdm,pkm->pdk", samples, u) < np.sum(u**2, 2)[:, None]
+        # |r x - u|^2 > |r x|^2  <=>  2 r x.u < |u|^2
+        bound = np.sum(u**2, 2) / (2 * radius[chunk, None])
+        own = disc @ u.transpose(0, 2, 1) < bound[:, None]
         same = np.einsum("pks,ps->pk", normals[near[chunk]], normals[chunk]) > 0
         inside = np.sum(np.all(own | ~same[:, None], axis=2), axis=1)
         areas[chunk] = inside * cell * radius[chunk] ** m

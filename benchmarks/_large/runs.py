@@ -1,0 +1,120 @@
+"""One run, a line in a table that grows."""
+
+import csv
+import resource
+import time
+from argparse import Namespace
+from pathlib import Path
+
+FIELDS = (
+    "problem", "centres", "unknowns", "data", "make_problem", "solve", "compile",
+    "newton_steps", "iteration", "factorisation", "peak_gb", "loss", "eells",
+)  # fmt: skip
+Key = tuple[str, int]
+
+
+def read_runs(out: Path) -> dict[Key, dict[str, str]]:
+    path = out / "large.csv"
+    if not path.exists():
+        return {}
+    with path.open(newline="") as file:
+        return {(r["problem"], int(r["centres"])): r for r in csv.DictReader(file)}
+
+
+def run(options: Namespace) -> None:
+    """The worker: one problem, one number of centres."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import manireg as mr
+
+    from .problems import PROBLEMS
+
+    (name,), (K,) = options.problems, options.centres
+    compiling = _compile_seconds()
+    source, target, x, y, arguments, lam = PROBLEMS[name](K)
+
+    def timed(function, *inputs, **keywords):
+        """Result, seconds of it, seconds of compilation."""
+        before, start = sum(compiling), time.perf_counter()
+        result = function(*inputs, **keywords)
+        jax.block_until_ready(jax.tree.leaves(result))
+        compiled = sum(compiling) - before
+        return result, time.perf_counter() - start - compiled, compiled
+
+    problem, make, first = timed(mr.make_problem, source, target, x, y, **arguments)
+    model, solve, second = timed(mr.solve, problem, lam)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    iteration, factorisation = _one_iteration(problem, model, timed)
+    row = {"problem": name, "centres": K, "unknowns": model.coefficients.size}
+    row |= {
+        "data": len(problem.y),
+        "newton_steps": int(model.stats["num_newton_steps"]),
+    }
+    seconds = {"make_problem": make, "solve": solve, "compile": first + second}
+    seconds |= {"iteration": iteration, "factorisation": factorisation}
+    row |= {name: f"{value:.3g}" for name, value in seconds.items()}
+    row |= {"peak_gb": f"{peak:.2f}"}
+    row |= {name: repr(float(getattr(model.energies, name))) for name in FIELDS[-2:]}
+    path = options.out / "large.csv"
+    fresh = not path.exists()
+    with path.open("a", newline="") as file:
+        writer = csv.DictWriter(file, FIELDS)
+        if fresh:
+            writer.writeheader()
+        writer.writerow(row)
+
+
+def _compile_seconds() -> list[float]:
+    """Grows by what JAX reports as spent on tracing, lowering and compiling."""
+    import jax
+
+    seconds: list[float] = []
+
+    def listen(event: str, duration: float, **_):
+        if event.startswith("/jax/core/compile/"):
+            seconds.append(duration)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    return seconds
+
+
+def _one_iteration(problem, model, timed) -> tuple[float, float]:
+    """Seconds of value, gradient, Gauss-Newton matrix and its solve; and those of the
+    factorisation with its solve alone. Best of two: CHOLMOD's analysis is done once."""
+    import equinox as eqx
+    import jax
+    import lineax as lx
+    import sparsax
+
+    from manireg._hessian import gauss_newton
+    from manireg._linear_solvers import SparseCholesky
+    from manireg._minimise import GAUGE, stage_of
+    from manireg._objective import objective
+
+    stage = stage_of(
+        problem, model.lam, GAUGE / problem.volume, "projected", model.coefficients
+    )
+
+    @eqx.filter_jit
+    def step(w, stage):
+        value = eqx.filter_value_and_grad(objective, has_aux=True)
+        (total, _), gradient = value(w, stage)
+        matrix = gauss_newton(w, stage)
+        return total, lx.linear_solve(matrix, gradient, SparseCholesky()).value
+
+    @eqx.filter_jit
+    def system(w, stage):
+        return SparseCholesky().init(gauss_newton(w, stage), {})
+
+    def shortest(function, inputs):
+        return min(timed(function, *arguments)[1] for arguments in inputs)
+
+    # CHOLMOD's factor is kept while the values are the same: so they differ
+    w = model.coefficients
+    iteration = shortest(step, [(w * (1 + 1e-6 * i), stage) for i in range(2)])
+    i, j, values, _ = system(w, stage)
+    factorise = jax.jit(sparsax.solve)
+    side = values[: w.size]
+    inputs = [(i, j, values * (1 + 1e-6 * n), side) for n in range(2)]
+    return iteration, shortest(factorise, inputs)

@@ -1,0 +1,57 @@
+"""Time and memory of one regression between surfaces as the number of centres grows. One
+command runs what is missing and writes the table anew:
+
+    python benchmarks/large.py
+
+Each run is a line of `large.csv` in `--out`, so the command can be stopped and given
+again, and has a process of its own, so that its peak memory is seen. Seconds are those of
+warm programs; what JAX spends on tracing and compiling is in a column of its own.
+"""
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+
+from tqdm import tqdm
+
+CENTRES = (250, 400, 1000, 4000)
+
+
+def parse() -> argparse.Namespace:
+    from _large.problems import PROBLEMS
+
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    add = parser.add_argument
+    add("--problems", nargs="+", default=list(PROBLEMS), choices=list(PROBLEMS))
+    add("--centres", nargs="+", type=int, default=CENTRES)
+    add("--out", type=Path, default=Path(__file__).parent / "results")
+    add("--worker", action="store_true", help=argparse.SUPPRESS)
+    return parser.parse_args()
+
+
+def main() -> None:
+    options = parse()
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.worker:
+        from _large.runs import run
+
+        run(options)
+        return
+    from _large.report import write_report
+    from _large.runs import read_runs
+
+    runs = [(name, K) for K in options.centres for name in options.problems]
+    with tqdm(runs, unit="run") as bar:
+        for name, K in bar:
+            bar.set_postfix_str(f"{name}, {K} centres")
+            if (name, K) not in read_runs(options.out):
+                command = [sys.executable, __file__, "--worker", "--problems", name]
+                command += ["--centres", str(K), "--out", str(options.out)]
+                subprocess.run(command, check=True)
+                write_report(options.out)
+    write_report(options.out)
+
+
+if __name__ == "__main__":
+    main()
