@@ -111,7 +111,7 @@ def cross_validate(
     training = training_sets(len(problem.y), folds, key)
     everything = np.ones((1, len(problem.y)), dtype=bool)
     rows = jnp.asarray(np.concatenate([training, everything]))
-    solvers = direct_solvers(linear_algebra)
+    solvers = direct_solvers(linear_algebra, problem.basis.dim)
 
     def evaluate(grid):
         ticks = len(rows) * len(grid)
