@@ -61,8 +61,11 @@ class ExactHessian(lx.AbstractLinearOperator):
             product += pull(bent.reshape(jet.shape))[0]
         return product
 
+    def assembled(self) -> SparseSymmetric:
+        return assembled(self.problem, self.local, np.array(self.rows))
+
     def as_matrix(self):
-        return assembled(self.problem, self.local, np.array(self.rows)).as_matrix()
+        return self.assembled().as_matrix()
 
     def transpose(self):
         return self

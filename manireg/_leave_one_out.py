@@ -63,7 +63,7 @@ def leave_one_out(
         grid = np.sort(np.asarray(lams, float).ravel())[::-1]
     else:
         grid = np.asarray(_grid(problem))[::-1]
-    solvers = direct_solvers(linear_algebra)
+    solvers = direct_solvers(linear_algebra, problem.basis.dim)
     w = eqx.filter_jit(free_solution)(problem, jnp.asarray(grid[0]), solvers)
     fits: dict[float, tuple[RegressionMap, np.ndarray]] = {}
 

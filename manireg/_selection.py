@@ -114,7 +114,7 @@ def cross_validate(
         width=width,
     )
     training = training_sets(len(problem.y), folds, key)
-    solvers = direct_solvers(linear_algebra)
+    solvers = direct_solvers(linear_algebra, problem.basis.dim)
 
     def evaluate(grid):
         at_once = len(jax.devices())

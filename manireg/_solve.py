@@ -125,7 +125,7 @@ def solve(
         raise ValueError(
             f"method: expected 'projected' or 'penalty', found {method!r}."
         )
-    solvers = direct_solvers(linear_algebra)
+    solvers = direct_solvers(linear_algebra, problem.basis.dim)
     model = _solve(
         problem,
         jnp.asarray(lam, float),
