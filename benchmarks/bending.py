@@ -10,10 +10,10 @@ given again. Options narrow it down, e.g. `--shapes roll --landmarks 25 --seeds 
 """
 
 import argparse
-import csv
 import itertools
 from pathlib import Path
 
+from _table_file import append_row
 from tqdm import tqdm
 
 
@@ -52,17 +52,11 @@ def main() -> None:
     )
     tasks = [Task(shape, k, seed, method) for seed, k, shape, method in cells]
     missing = [task for task in tasks if task not in done]
-    fresh = not path.exists()
     bar = tqdm(missing, unit="run")
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, FIELDS)
-        if fresh:
-            writer.writeheader()
-        for task in bar:
-            bar.set_postfix_str(" ".join(map(str, task)))
-            writer.writerow(run(task, options.centres, options.out))
-            file.flush()
-            jax.clear_caches()  # data sets share no program, but programs fill memory
+    for task in bar:
+        bar.set_postfix_str(" ".join(map(str, task)))
+        append_row(path, FIELDS, run(task, options.centres, options.out))
+        jax.clear_caches()  # data sets share no program, but programs fill memory
     runs = read_runs(path)
     write_report(options.out / "bending.md", runs, set(tasks))
     for shape in options.shapes:

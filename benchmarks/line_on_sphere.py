@@ -8,12 +8,12 @@ stopped and given again. Options narrow it down, e.g. `--ks 70 --kappas 10000 --
 """
 
 import argparse
-import csv
 import itertools
 import multiprocessing
 import os
 from pathlib import Path
 
+from _table_file import append_row
 from tqdm import tqdm
 
 
@@ -60,17 +60,12 @@ def main() -> None:
     tasks = [Task(c, k, kappa, rep, m) for rep, c, k, kappa, m in cells]
     missing = [task for task in tasks if task not in done]
 
-    fresh = not path.exists()
     spawn = multiprocessing.get_context("spawn")
     pool = spawn.Pool(options.jobs, start_worker)
     bar = tqdm(total=len(tasks), initial=len(tasks) - len(missing), unit="run")
-    with path.open("a", newline="") as file, pool, bar:
-        writer = csv.DictWriter(file, FIELDS)
-        if fresh:
-            writer.writeheader()
+    with pool, bar:
         for row in pool.imap_unordered(run, missing):
-            writer.writerow(row)
-            file.flush()
+            append_row(path, FIELDS, row)
             bar.set_postfix_str(
                 "{convention} k={k} kappa={kappa:g} {method}".format(**row)
             )

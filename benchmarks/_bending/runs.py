@@ -1,11 +1,11 @@
 """One run: a method on a data set; and the file of finished runs."""
 
-import csv
 import time
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from _table_file import read_rows
 
 from .data import errors, make_data, mean
 from .methods import METHODS
@@ -53,10 +53,7 @@ def run(task: Task, centres: int, out: Path) -> dict[str, object]:
 
 def read_runs(path: Path) -> dict[Task, dict[str, str]]:
     """Finished runs; failed ones are left out, so they are tried again."""
-    if not path.exists():
-        return {}
-    with path.open(newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["mean_error"]]
+    rows = [row for row in read_rows(path) if row["mean_error"]]
     return {
         Task(r["shape"], int(r["landmarks"]), int(r["seed"]), r["method"]): r
         for r in rows

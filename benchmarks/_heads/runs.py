@@ -1,12 +1,12 @@
 """Runs of one method, a line each in a table that grows."""
 
-import csv
 import resource
 import time
 from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
+from _table_file import append_row, read_rows
 
 FIELDS = (
     "data", "landmarks", "method", "target", "whole", "interior", "near_landmarks",
@@ -16,13 +16,9 @@ Key = tuple[str, int, str, int]
 
 
 def read_runs(out: Path) -> dict[Key, dict[str, str]]:
-    path = out / "heads.csv"
-    if not path.exists():
-        return {}
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
     return {
-        (r["data"], int(r["landmarks"]), r["method"], int(r["target"])): r for r in rows
+        (r["data"], int(r["landmarks"]), r["method"], int(r["target"])): r
+        for r in read_rows(out / "heads.csv")
     }
 
 
@@ -53,13 +49,7 @@ def run(options: Namespace) -> None:
         row |= {name: f"{value:.4f}" for name, value in scores(task, errors).items()}
         row |= {"lam": "" if lam is None else f"{lam:.4g}"}
         row |= {"seconds": f"{seconds:.1f}", "peak_gb": f"{peak:.2f}"}
-        path = options.out / "heads.csv"
-        fresh = not path.exists()
-        with path.open("a", newline="") as file:
-            writer = csv.DictWriter(file, FIELDS)
-            if fresh:
-                writer.writeheader()
-            writer.writerow(row)
+        append_row(options.out / "heads.csv", FIELDS, row)
 
 
 def scores(task, errors: np.ndarray) -> dict[str, float]:

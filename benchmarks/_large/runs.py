@@ -1,10 +1,11 @@
 """One run, a line in a table that grows."""
 
-import csv
 import resource
 import time
 from argparse import Namespace
 from pathlib import Path
+
+from _table_file import append_row, read_rows
 
 FIELDS = (
     "problem", "centres", "unknowns", "data", "make_problem", "solve", "compile",
@@ -14,11 +15,8 @@ Key = tuple[str, int]
 
 
 def read_runs(out: Path) -> dict[Key, dict[str, str]]:
-    path = out / "large.csv"
-    if not path.exists():
-        return {}
-    with path.open(newline="") as file:
-        return {(r["problem"], int(r["centres"])): r for r in csv.DictReader(file)}
+    rows = read_rows(out / "large.csv")
+    return {(row["problem"], int(row["centres"])): row for row in rows}
 
 
 def run(options: Namespace) -> None:
@@ -56,13 +54,7 @@ def run(options: Namespace) -> None:
     row |= {name: f"{value:.3g}" for name, value in seconds.items()}
     row |= {"peak_gb": f"{peak:.2f}"}
     row |= {name: repr(float(getattr(model.energies, name))) for name in FIELDS[-2:]}
-    path = options.out / "large.csv"
-    fresh = not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, FIELDS)
-        if fresh:
-            writer.writeheader()
-        writer.writerow(row)
+    append_row(options.out / "large.csv", FIELDS, row)
 
 
 def _compile_seconds() -> list[float]:

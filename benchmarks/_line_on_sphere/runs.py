@@ -1,12 +1,12 @@
 """One run: a method on a data set; and the file of finished runs."""
 
-import csv
 import time
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import numpy as np
+from _table_file import read_rows
 
 from manireg import datasets
 
@@ -61,10 +61,7 @@ def run(task: Task) -> dict[str, object]:
 
 def read_runs(path: Path) -> dict[Task, dict[str, str]]:
     """Finished runs; failed ones are left out, so they are tried again."""
-    if not path.exists():
-        return {}
-    with path.open(newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["mean_error"]]
+    rows = [row for row in read_rows(path) if row["mean_error"]]
     return {task_of(row): row for row in rows}
 
 
