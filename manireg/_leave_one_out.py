@@ -44,12 +44,11 @@ def leave_one_out(
     for each fold, too. The lambdas are followed downwards, each from its neighbour:
     started from the free solution of a small lambda, maps fold up far from the data.
 
-    Few data predict errors roughly, and a far too small lambda costs more than one too
-    large: chosen is the largest lambda that predicts no worse than the best one, up to a
-    standard error of the difference (after Breiman, Friedman, Olshen and Stone 1984,
-    section 3.4.3, paired). Scores are means with the largest tenth cut to the ninth
-    decile: where the map may fold without a datum, to first order it flies off, and that
-    datum alone would decide.
+    Few data predict errors roughly, and beside them a far too small lambda costs more than
+    one too large: chosen is the largest lambda whose score lies within one standard error
+    of the lowest (Breiman, Friedman, Olshen and Stone 1984, section 3.4.3). Scores are
+    means with the largest tenth cut to the ninth decile: where the map may fold without a
+    datum, to first order it flies off, and that datum alone would decide.
 
     **Arguments:** `problem` from `make_problem`; `lams` the grid, default five values of
     wavelengths (see `lambda_grid`) from 2.7 to 0.8 spacings of the data, extended (at most
@@ -107,11 +106,11 @@ def _best(fits: dict[float, tuple[RegressionMap, np.ndarray]]) -> float:
 
 
 def _choice(fits: dict[float, tuple[RegressionMap, np.ndarray]]) -> float:
-    """The largest lambda that predicts no worse than the best, up to a standard error."""
+    """The largest lambda within one standard error of the best."""
     cut = {lam: cut_errors(errors) for lam, (_, errors) in fits.items()}
-    worse = {lam: errors - cut[_best(fits)] for lam, errors in cut.items()}
-    standard_error = lambda gap: gap.std(ddof=1) / np.sqrt(len(gap))
-    return max(lam for lam, gap in worse.items() if gap.mean() <= standard_error(gap))
+    best = cut[_best(fits)]
+    allowed = best.mean() + best.std(ddof=1) / np.sqrt(len(best))
+    return max(lam for lam, errors in cut.items() if errors.mean() <= allowed)
 
 
 def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
