@@ -54,6 +54,7 @@ def nricp(task: Task, variant: str) -> np.ndarray:
     from the affine map of the landmarks."""
     source = task.source.copy()
     source.vertices = _affine_image(task)
+    source.update_faces(source.nondegenerate_faces())  # it inverts a matrix for each
     run = getattr(trimesh.registration, f"nricp_{variant}")
     moved = run(
         source,
