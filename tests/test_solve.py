@@ -1,5 +1,7 @@
 """The solver: derivatives, transformations, symmetry, and its two methods."""
 
+import re
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -128,3 +130,12 @@ def test_isometry_of_the_sphere_is_found():
     new = mr.Sphere(2).random_points(jax.random.key(1), 50)
     np.testing.assert_allclose(model(new), new @ turn.T, atol=1e-6)
     assert model.energies.eells < 1e-8
+
+
+def test_dense_programs_stay_on_the_device(problem):
+    """What runs on a GPU: no callback to the host, no sparse factorisation there."""
+    fit = lambda p: mr.solve(p, LAM, linear_algebra="dense", throw=False).coefficients
+    program = eqx.filter_jit(fit).lower(problem).as_text()
+    calls = set(re.findall(r"custom_call @(\w+)", program))
+    assert "callback" not in program
+    assert all(call.startswith("lapack") for call in calls)

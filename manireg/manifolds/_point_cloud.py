@@ -35,7 +35,8 @@ class PointCloud(AbstractManifold):
 
     **Arguments:**
 
-    - `points`: `(P, s)`, s = 2 or 3, distinct; 30,000 are comfortable.
+    - `points`: `(P, s)`, s = 2 or 3, distinct; 30,000 take a second, 200,000 about
+      twenty.
     - `normals`: `(P, s)`, of any length, all on the same side of the surface.
     - `neighbours`: of each fit, default 12 on surfaces, 6 on curves; 20 to 30 for noisy
       points.
