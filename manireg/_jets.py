@@ -17,7 +17,8 @@ from scipy.spatial import KDTree
 from ._local_polynomials import LocalPolynomials, basis_values
 
 POINTS_IN_ELEMENT = 24  # at most; 13 to 24 come out
-DATA_IN_ELEMENT = 4  # at least: more when data are dense, so that elements stay few
+STEP = 4  # centres; see `_padded`
+DATA_IN_ELEMENT = 2  # at least: more when data are dense, so that elements stay few
 
 
 class Jets(eqx.Module):
@@ -82,10 +83,9 @@ def value_jets(
     """Values only. Shapes depend on the number of points and, as far as possible, on
     `energy_jets`, not on where the points lie: new data reuse a compiled program."""
     p = max(DATA_IN_ELEMENT, -(-len(points) // len(energy_jets.columns)))
-    overlap = energy_jets.columns.shape[1] // basis.size
-    index, mask, near = map(
-        jnp.asarray, _elements(basis, np.asarray(points), p, overlap)
-    )
+    overlap = energy_jets.columns.shape[1] // basis.size + 1
+    elements = _elements(basis, np.asarray(points), p, -(-overlap // STEP) * STEP)
+    index, mask, near = map(jnp.asarray, elements)
     matrices = _value_rows(basis, points[index], near)
     columns = _columns(basis, near)
     e, U = columns.shape
@@ -101,9 +101,7 @@ def centres_near(
     near = np.split(
         centre[order], np.cumsum(np.bincount(supported, minlength=len(points)))
     )
-    # few shapes, few compilations
-    most = max(map(len, near), default=0)
-    return _padded(near[:-1], [-1] * len(points), least=-(-max(most, 1) // 8) * 8)[0]
+    return _padded(near[:-1], [-1] * len(points), least=STEP)[0]
 
 
 def _supports(basis: LocalPolynomials, points: np.ndarray):
@@ -197,9 +195,12 @@ def _bisect(points: np.ndarray, index: np.ndarray, largest: int) -> list[np.ndar
 
 
 def _padded(rows, fill, least: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of equal length, each filled up with its `fill`; and what is not filling."""
+    """Rows of equal length, each filled up with its `fill`; and what is not filling.
+    Beyond `least` lengths are multiples of `STEP`: few shapes, few compilations."""
     lengths = np.array([len(row) for row in rows])
-    width = max(lengths.max(), least)
+    width = lengths.max(initial=1)
+    if least:
+        width = max(-(-width // STEP) * STEP if width > least else width, least)
     inside = np.arange(width) < lengths[:, None]
     table = np.repeat(np.array(fill, dtype=np.int32)[:, None], width, axis=1)
     table[inside] = np.concatenate(rows)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.spatial import KDTree
 
 
 class SparsityPattern(eqx.Module):
@@ -106,28 +107,31 @@ def sparsity(
     radii: Float[np.ndarray, " K"],
     functions: int,
 ) -> tuple[SparsityPattern, tuple[Int[Array, "_ _"], ...]]:
-    """Pattern of a sum of element matrices. Host.
+    """Pattern of a sum of element matrices: all pairs of centres whose supports meet, so
+    it is the same for all data. Host.
 
     **Arguments:** `families_of_centres`: for each family of elements their centres,
-    ascending (negative: padding, last); `points`, `radii` the centres' supports, for an
-    element has pairs of centres that no point of it sees together.
+    ascending (negative: padding, last); `points`, `radii` the centres' supports.
     **Returns** the pattern, and for each family the places in it of the element's pairs
     of centres i <= j, past its end where there is nothing to add.
     """
     K = len(points)
-    families = []
-    for near in families_of_centres:
-        near = np.asarray(near, dtype=np.int64)
-        i, j = np.triu_indices(near.shape[1])
-        first, second = near[:, i], near[:, j]
-        apart = np.sqrt(sum((x[first] - x[second]) ** 2 for x in points.T))
-        meet = (second >= 0) & (apart < radii[first] + radii[second])
-        families.append(np.where(meet, first * K + second, K**2))
-    diagonal = np.arange(K) * (K + 1)
-    entries = np.unique(np.concatenate([*map(np.unique, families), diagonal]))
+
+    def keys(i, j, pair):
+        apart = np.sqrt(sum((x[i] - x[j]) ** 2 for x in points.T))
+        return np.where(pair & (apart < radii[i] + radii[j]), i * K + j, K**2)
+
+    near = KDTree(points).query_ball_point(points, radii + np.max(radii))
+    i = np.repeat(np.arange(K), [len(own) for own in near])
+    j = np.concatenate([np.asarray(own, dtype=np.int64) for own in near])
+    entries = np.unique(keys(i, j, i <= j))
     entries = entries[entries < K**2]
     rows, cols = (jnp.asarray(a, dtype=jnp.int32) for a in np.divmod(entries, K))
-    places = (np.searchsorted(entries, keys) for keys in families)
+    places = []
+    for own in families_of_centres:
+        own = np.asarray(own, dtype=np.int64)
+        first, second = (own[:, side] for side in np.triu_indices(own.shape[1]))
+        places.append(np.searchsorted(entries, keys(first, second, second >= 0)))
     return (
         SparsityPattern(rows, cols, K, functions),
         tuple(jnp.asarray(into, dtype=jnp.int32) for into in places),

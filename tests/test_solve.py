@@ -139,3 +139,24 @@ def test_dense_programs_stay_on_the_device(problem):
     calls = set(re.findall(r"custom_call @(\w+)", program))
     assert "callback" not in program
     assert all(call.startswith("lapack") for call in calls)
+
+
+def test_new_data_use_the_compiled_program():
+    """Other inputs in other places, as many."""
+    compiled: list[str] = []
+
+    def listen(event, duration, **_):
+        if event == "/jax/core/compile/backend_compile_duration":
+            compiled.append(event)
+
+    def regression(seed):
+        x = np.random.default_rng(seed).uniform(size=40)
+        mean = np.stack([np.cos(3 * x), np.sin(3 * x), x**2], axis=1)
+        y = mr.Sphere(2).project(jnp.asarray(mean))
+        problem = mr.make_problem(mr.Interval(0, 1), mr.Sphere(2), x, y, centres=15)
+        return mr.solve(problem, LAM).coefficients
+
+    regression(0)
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    regression(1)
+    assert not compiled
