@@ -20,6 +20,23 @@ def register(task: Task, geometry: str) -> tuple[np.ndarray, float]:
     return found.vertices, float(found.cv.lam)
 
 
+def free_solution(task: Task) -> tuple[np.ndarray, float]:
+    """The paper's thin plate: the same basis, energy and choice of lambda, but space as
+    the target; then the closest point."""
+    source = mr.Ambient(mr.PointCloud.from_mesh(task.source))
+    x = np.asarray(task.source.vertices)
+    problem = mr.make_problem(
+        source,
+        mr.Euclidean(3),
+        x[task.source_landmarks],
+        task.target_landmarks,
+        centres=400,
+        graded=True,
+    )
+    cv = mr.leave_one_out(problem)
+    return np.asarray(_cloud(task).project(cv.model(x))), float(cv.lam)
+
+
 def affine(task: Task) -> np.ndarray:
     """The least-squares affine map, then the closest point."""
     return np.asarray(_cloud(task).project(_affine_image(task)))
@@ -73,6 +90,7 @@ METHODS = {
     "affine": affine,
     "rbf_r2logr": lambda task: volume_spline(task, "thin_plate_spline"),
     "rbf_r": lambda task: volume_spline(task, "linear"),
+    "free_solution": free_solution,
     "rkhs_warp": rkhs_warp,
     "manireg_ambient": lambda task: register(task, "ambient"),
     "manireg_intrinsic": lambda task: register(task, "intrinsic"),

@@ -11,8 +11,8 @@ from manireg.plot import surface
 
 from .runs import scores
 
-SHOWN = ("affine", "rbf_r2logr", "rbf_r", "manireg_ambient")
-TITLES = ("affine", "RBF, r² log r", "RBF, r", "manireg")
+SHOWN = ("rkhs_warp", "nricp_sumner", "rbf_r", "manireg_ambient")
+TITLES = ("RKHS warp", "nricp_sumner", "RBF, r", "manireg")
 LIMIT = 5.0  # mm
 TARGET = 1
 

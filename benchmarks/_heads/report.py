@@ -10,6 +10,7 @@ NAMES = {
     "affine": "affine map + closest point",
     "rbf_r2logr": "scipy RBF, r² log r + closest point",
     "rbf_r": "scipy RBF, r + closest point (strong baseline)",
+    "free_solution": "thin plate of the paper (free solution) + closest point",
     "rkhs_warp": "RKHS warp after [12] + closest point",
     "nricp_sumner": "trimesh nricp_sumner",
     "nricp_amberg": "trimesh nricp_amberg",
