@@ -6,6 +6,8 @@ All scale the matrix to unit diagonal, D^{-1/2} A D^{-1/2}; the Cholesky ones th
 it is a term of the Newton step, not of the objective: the minimiser stays where it is.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -52,10 +54,10 @@ class SparseLU(_AbstractDirect):
     """KLU, for a symmetric operator that may be indefinite (the exact Hessian): on curves
     as quick as Cholesky; on surfaces pivoting fills the factors."""
 
-    def init(self, operator, options):
+    def init(self, operator: Any, options):
         del options
         if not isinstance(operator, SparseSymmetric):
-            operator = getattr(operator, "assembled")()
+            operator = operator.assembled()
         scale = _scale(operator)
         i, j = operator.coordinates()
         values = _scaled_blocks(operator, scale)
@@ -81,11 +83,8 @@ class ModelCG(_AbstractDirect):
     """Of the residual, in the norm of the inverse model."""
     max_steps: int = 50
 
-    def init(self, operator, options):
-        model = getattr(operator, "model", None)
-        if model is None:
-            raise ValueError("ModelCG: needs an operator with a `model`.")
-        return operator, self.positive.init(model, options)
+    def init(self, operator: Any, options):
+        return operator, self.positive.init(operator.model, options)
 
     def compute(self, state, vector, options):
         operator, factor = state
