@@ -15,9 +15,9 @@ class Stopwatch:
         self._compiling = 0.0
         jax.monitoring.register_event_duration_secs_listener(self._listen)
 
-    def _listen(self, event: str, duration: float, **_):
+    def _listen(self, event: str, duration_secs: float, **_):
         if event.startswith("/jax/core/compile/"):
-            self._compiling += duration
+            self._compiling += duration_secs
 
     def __call__(self, function: Callable, *inputs, **keywords):
         """Result, seconds without compilation, seconds of compilation."""
@@ -28,8 +28,7 @@ class Stopwatch:
         return result, time.perf_counter() - start - compiled, compiled
 
     def shortest(self, function: Callable, inputs: list[tuple]) -> float:
-        """Least seconds over the inputs, after a first call."""
-        self(function, *inputs[0])
+        """Least seconds over the inputs."""
         return min(self(function, *arguments)[1] for arguments in inputs)
 
 

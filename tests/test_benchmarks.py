@@ -41,3 +41,19 @@ def test_bending_resumes(tmp_path):
     assert "| roll | 25 |" in (tmp_path / "bending.md").read_text()
     subprocess.run([*command, *cell], check=True)
     assert file.read_text() == before
+
+
+@pytest.mark.slow
+def test_large_resumes(tmp_path):
+    """One run in a process of its own; a second command finds nothing left to run."""
+    command = [sys.executable, BENCHMARKS / "large.py", "--out", tmp_path]
+    cell = ["--problems", "sphere1", "--centres", "100"]
+    file = tmp_path / "large.csv"
+    subprocess.run([*command, *cell], check=True)
+    before = file.read_text()
+    (row,) = csv.DictReader(before.splitlines())
+    assert row["unknowns"] == "1200" and row["data"] == "2500"
+    assert 0 < float(row["loss"]) < 0.01
+    assert "| 100 | 1200 |" in (tmp_path / "large.md").read_text()
+    subprocess.run([*command, *cell], check=True)
+    assert file.read_text() == before

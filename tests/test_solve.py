@@ -1,6 +1,7 @@
 """The solver: derivatives, transformations, symmetry, and its two methods."""
 
 import re
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -134,8 +135,10 @@ def test_isometry_of_the_sphere_is_found():
 
 def test_dense_programs_stay_on_the_device(problem):
     """What runs on a GPU: no callback to the host, no sparse factorisation there."""
-    fit = lambda p: mr.solve(p, LAM, linear_algebra="dense", throw=False).coefficients
-    program = eqx.filter_jit(fit).lower(problem).as_text()
+    fit: Any = eqx.filter_jit(
+        lambda p: mr.solve(p, LAM, linear_algebra="dense", throw=False).coefficients
+    )
+    program = fit.lower(problem).as_text()
     calls = set(re.findall(r"custom_call @(\w+)", program))
     assert "callback" not in program
     assert all(call.startswith("lapack") for call in calls)
@@ -145,7 +148,7 @@ def test_new_data_use_the_compiled_program():
     """Other inputs in other places, as many."""
     compiled: list[str] = []
 
-    def listen(event, duration, **_):
+    def listen(event, duration_secs, **_):
         if event == "/jax/core/compile/backend_compile_duration":
             compiled.append(event)
 

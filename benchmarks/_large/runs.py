@@ -1,11 +1,11 @@
 """One run, a line in a table that grows."""
 
 import resource
-import time
 from argparse import Namespace
 from pathlib import Path
 
 from _table_file import append_row, read_rows
+from _timing import Stopwatch
 
 FIELDS = (
     "problem", "centres", "unknowns", "data", "make_problem", "solve", "compile",
@@ -29,16 +29,8 @@ def run(options: Namespace) -> None:
     from .problems import PROBLEMS
 
     (name,), (K,) = options.problems, options.centres
-    compiling = _compile_seconds()
+    timed = Stopwatch()
     source, target, x, y, arguments, lam = PROBLEMS[name](K)
-
-    def timed(function, *inputs, **keywords):
-        """Result, seconds of it, seconds of compilation."""
-        before, start = sum(compiling), time.perf_counter()
-        result = function(*inputs, **keywords)
-        jax.block_until_ready(jax.tree.leaves(result))
-        compiled = sum(compiling) - before
-        return result, time.perf_counter() - start - compiled, compiled
 
     problem, make, first = timed(mr.make_problem, source, target, x, y, **arguments)
     model, solve, second = timed(mr.solve, problem, lam)
@@ -57,21 +49,7 @@ def run(options: Namespace) -> None:
     append_row(options.out / "large.csv", FIELDS, row)
 
 
-def _compile_seconds() -> list[float]:
-    """Grows by what JAX reports as spent on tracing, lowering and compiling."""
-    import jax
-
-    seconds: list[float] = []
-
-    def listen(event: str, duration: float, **_):
-        if event.startswith("/jax/core/compile/"):
-            seconds.append(duration)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    return seconds
-
-
-def _one_iteration(problem, model, timed) -> tuple[float, float]:
+def _one_iteration(problem, model, timed: Stopwatch) -> tuple[float, float]:
     """Seconds of value, gradient, Gauss-Newton matrix and its solve; and those of the
     factorisation with its solve alone. Best of two: CHOLMOD's analysis is done once."""
     import equinox as eqx
@@ -99,14 +77,11 @@ def _one_iteration(problem, model, timed) -> tuple[float, float]:
     def system(w, stage):
         return SparseCholesky().init(gauss_newton(w, stage), {})
 
-    def shortest(function, inputs):
-        return min(timed(function, *arguments)[1] for arguments in inputs)
-
     # CHOLMOD's factor is kept while the values are the same: so they differ
     w = model.coefficients
-    iteration = shortest(step, [(w * (1 + 1e-6 * i), stage) for i in range(2)])
+    iteration = timed.shortest(step, [(w * (1 + 1e-6 * i), stage) for i in range(2)])
     i, j, values, _ = system(w, stage)
     factorise = jax.jit(sparsax.solve)
     side = values[: w.size]
     inputs = [(i, j, values * (1 + 1e-6 * n), side) for n in range(2)]
-    return iteration, shortest(factorise, inputs)
+    return iteration, timed.shortest(factorise, inputs)
