@@ -27,10 +27,6 @@ class Stopwatch:
         compiled = self._compiling - before
         return result, time.perf_counter() - start - compiled, compiled
 
-    def shortest(self, function: Callable, inputs: list[tuple]) -> float:
-        """Least seconds over the inputs."""
-        return min(self(function, *arguments)[1] for arguments in inputs)
-
 
 def first_and_best(function: Callable[[], Any], repeats: int) -> tuple[float, float]:
     """Seconds of the first call and the least of the others."""

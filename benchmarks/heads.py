@@ -10,10 +10,8 @@ own, so that its peak memory is seen; seconds include what a method compiles.
 """
 
 import argparse
-import subprocess
-import sys
-from pathlib import Path
 
+from _worker import add_options, start_worker
 from tqdm import tqdm
 
 DATA = ("ict", "makehuman")
@@ -30,8 +28,7 @@ def parse() -> argparse.Namespace:
     add("--landmarks", nargs="+", type=int, default=(55, 20), choices=(55, 20))
     add("--methods", nargs="+", default=METHODS, choices=METHODS)
     add("--targets", nargs="+", type=int, default=range(10))
-    add("--out", type=Path, default=Path(__file__).parent / "results")
-    add("--worker", action="store_true", help=argparse.SUPPRESS)
+    add_options(parser)
     return parser.parse_args()
 
 
@@ -57,15 +54,19 @@ def main() -> None:
             bar.set_postfix_str(f"{data}, {landmarks} landmarks, {method}")
             done = read_runs(options.out)
             missing = [
-                str(target)
+                target
                 for target in options.targets
                 if (data, landmarks, method, target) not in done
             ]
             if missing:
-                command = [sys.executable, __file__, "--worker", "--data", data]
-                command += ["--landmarks", str(landmarks), "--methods", method]
-                command += ["--out", str(options.out), "--targets", *missing]
-                subprocess.run(command, check=True)
+                start_worker(
+                    __file__,
+                    options.out,
+                    data=[data],
+                    landmarks=[landmarks],
+                    methods=[method],
+                    targets=missing,
+                )
     write_report(options.out)
 
 

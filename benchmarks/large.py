@@ -10,10 +10,8 @@ warm programs; what JAX spends on tracing and compiling is in a column of its ow
 
 import argparse
 import itertools
-import subprocess
-import sys
-from pathlib import Path
 
+from _worker import add_options, start_worker
 from tqdm import tqdm
 
 CENTRES = (250, 400, 1000, 4000)
@@ -27,8 +25,7 @@ def parse() -> argparse.Namespace:
     add = parser.add_argument
     add("--problems", nargs="+", default=list(PROBLEMS), choices=list(PROBLEMS))
     add("--centres", nargs="+", type=int, default=CENTRES)
-    add("--out", type=Path, default=Path(__file__).parent / "results")
-    add("--worker", action="store_true", help=argparse.SUPPRESS)
+    add_options(parser)
     return parser.parse_args()
 
 
@@ -49,9 +46,7 @@ def main() -> None:
         for name, K in bar:
             bar.set_postfix_str(f"{name}, {K} centres")
             if (name, K) not in read_runs(options.out):
-                command = [sys.executable, __file__, "--worker", "--problems", name]
-                command += ["--centres", str(K), "--out", str(options.out)]
-                subprocess.run(command, check=True)
+                start_worker(__file__, options.out, problems=[name], centres=[K])
                 write_report(options.out)
     write_report(options.out)
 

@@ -3,8 +3,8 @@
 E(w) = sum_q weight_q phi(A_q w), so its Hessian is sum_q A_q^T (weight_q D^2 phi) A_q.
 `gauss_newton` replaces D^2 phi by 2 R^T R, R the Jacobian of the residuals through
 projector and projection: always positive semidefinite, and assembled. `exact`
-differentiates twice and is only ever multiplied with vectors: its solver iterates, with
-the factor of a Gauss-Newton matrix near by.
+differentiates twice. On surfaces it is only ever multiplied with vectors: its solver
+iterates, with the factor of a Gauss-Newton matrix near by.
 """
 
 import functools
@@ -40,7 +40,8 @@ class PointHessians(eqx.Module):
 
 
 class ExactHessian(lx.AbstractLinearOperator):
-    """Not assembled: sum_q A_q^T (weight_q D^2 phi) A_q v is as quick as a gradient."""
+    """Assembled on demand only: its product sum_q A_q^T (weight_q D^2 phi) A_q v with a
+    vector is as quick as a gradient."""
 
     problem: Problem
     local: PointHessians

@@ -84,7 +84,7 @@ def value_jets(
     `energy_jets`, not on where the points lie: new data reuse a compiled program."""
     p = max(DATA_IN_ELEMENT, -(-len(points) // len(energy_jets.columns)))
     overlap = energy_jets.columns.shape[1] // basis.size + 1
-    elements = _elements(basis, np.asarray(points), p, -(-overlap // STEP) * STEP)
+    elements = _elements(basis, np.asarray(points), p, _stepped(overlap))
     index, mask, near = map(jnp.asarray, elements)
     matrices = _value_rows(basis, points[index], near)
     columns = _columns(basis, near)
@@ -200,8 +200,13 @@ def _padded(rows, fill, least: int = 0) -> tuple[np.ndarray, np.ndarray]:
     lengths = np.array([len(row) for row in rows])
     width = lengths.max(initial=1)
     if least:
-        width = max(-(-width // STEP) * STEP if width > least else width, least)
+        width = least if width <= least else _stepped(width)
     inside = np.arange(width) < lengths[:, None]
     table = np.repeat(np.array(fill, dtype=np.int32)[:, None], width, axis=1)
     table[inside] = np.concatenate(rows)
     return table, inside
+
+
+def _stepped(width: int) -> int:
+    """The next multiple of `STEP`."""
+    return -(-width // STEP) * STEP

@@ -41,6 +41,12 @@ def newton_minimiser(solvers: DirectSolvers, rtol: float) -> Newton:
     )
 
 
+def gauge(problem: Problem) -> Float[Array, ""]:
+    """gamma of a solve in one stage."""
+    weight = AMBIENT_GAUGE if isinstance(problem.source, Ambient) else GAUGE
+    return weight / problem.volume
+
+
 def stage_of(problem: Problem, lam, gamma, method: Method, w) -> Stage:
     """The objective near the map with coefficients `w`. Psi of an ambient source is a map
     of the whole neighbourhood, which does not stay on N: its energy is that of Psi, not of
@@ -65,8 +71,7 @@ def minimise(
         if cloud:
             raise ValueError("method: 'penalty' is for analytic targets; leave it out.")
         return penalty_path(problem, lam, w0, newton, max_steps)
-    gauge = AMBIENT_GAUGE if isinstance(problem.source, Ambient) else GAUGE
-    stage = stage_of(problem, lam, gauge / problem.volume, method, w0)
+    stage = stage_of(problem, lam, gauge(problem), method, w0)
     if cloud:
         # the patches are wrong by more than this, and exact Hessians dear
         coarse = (jnp.maximum(newton.rtol, PATCH_RTOL), 0.0)

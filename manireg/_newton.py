@@ -3,9 +3,10 @@
 optimistix has no Newton minimiser, so this composes one from its parts: the loop below,
 `optx.NewtonDescent` for the direction, `optx.BacktrackingArmijo` for the step. Hessians
 are functions of their own, `(y, args) -> lineax operator`, because they are assembled
-sparse. Far from the minimum a Gauss-Newton model, always positive definite, gives the
-direction; near it the exact Hessian, whose convergence is quadratic (measured on curves:
-7..15 steps in place of 8..60).
+sparse; the exact one is also given the last model, `(y, args, model)`. Far from the
+minimum a Gauss-Newton model, always positive definite, gives the direction; near it the
+exact Hessian, whose convergence is quadratic (measured on curves: 7..15 steps in place of
+8..60).
 """
 
 from collections.abc import Callable

@@ -121,9 +121,7 @@ def assemble_problem(source, target, basis, domain: Domain, x, y, weights) -> Pr
         flat = jnp.zeros_like(domain.second_forms)
         free_jets = jets_of(basis, domain.points, domain.frames, flat)
     data_jets = value_jets(basis, x, energy_jets)
-    energy, data = (bucket_centres(j, basis.size) for j in (energy_jets, data_jets))
-    supports = np.asarray(basis.centres), np.asarray(basis.widths)
-    pattern, places = sparsity([*energy, *data], *supports, basis.size)
+    pattern, energy_places, data_places = pattern_of(basis, energy_jets, data_jets)
     return Problem(
         source=source,
         target=target,
@@ -136,6 +134,15 @@ def assemble_problem(source, target, basis, domain: Domain, x, y, weights) -> Pr
         y=y,
         weights=weights,
         pattern=pattern,
-        energy_places=places[: len(energy)],
-        data_places=places[len(energy) :],
+        energy_places=energy_places,
+        data_places=data_places,
     )
+
+
+def pattern_of(basis: LocalPolynomials, energy_jets: Jets, data_jets: Jets):
+    """Pattern of the Hessian, and the places in it of the energy's and the data's
+    elements."""
+    energy, data = (bucket_centres(j, basis.size) for j in (energy_jets, data_jets))
+    supports = np.asarray(basis.centres), np.asarray(basis.widths)
+    pattern, places = sparsity([*energy, *data], *supports, basis.size)
+    return pattern, places[: len(energy)], places[len(energy) :]

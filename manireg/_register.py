@@ -147,8 +147,7 @@ def _predicted_error(cv: CrossValidation | None) -> float:
     """Of left-out landmarks; with nothing to choose, of no interest."""
     if cv is None:
         return 0.0
-    chosen = int(jnp.argmin(jnp.abs(cv.lams - cv.lam)))
-    return float(cut_errors(np.asarray(cv.scores[:, chosen])).mean())
+    return float(cut_errors(np.asarray(cv.scores[:, cv.chosen])).mean())
 
 
 def _surface(surface: Surface):

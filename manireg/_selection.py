@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, PRNGKeyArray
 from tqdm.auto import tqdm
 
 from ._checks import check_lam
@@ -40,7 +40,12 @@ class CrossValidation(eqx.Module):
     @property
     def score(self) -> Float[Array, ""]:
         """Mean score at the chosen lambda."""
-        return jnp.mean(self.scores, axis=0)[jnp.argmin(jnp.abs(self.lams - self.lam))]
+        return jnp.mean(self.scores, axis=0)[self.chosen]
+
+    @property
+    def chosen(self) -> Int[Array, ""]:
+        """Index of `lam` in `lams`."""
+        return jnp.argmin(jnp.abs(self.lams - self.lam))
 
 
 def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:

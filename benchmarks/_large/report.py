@@ -37,13 +37,8 @@ def _table(runs, name: str) -> str:
         cells = [*(row[n] for n in names), f"{ratio:.2f}", row["peak_gb"]]
         lines.append("| " + " | ".join(cells) + " |")
     if len(rows) > 1:
-        K, seconds = (
-            np.log([f(row) for row in rows])
-            for f in (
-                lambda r: float(r["centres"]),
-                lambda r: float(r["make_problem"]) + float(r["solve"]),
-            )
-        )
+        K = np.log([float(row["centres"]) for row in rows])
+        seconds = np.log([float(r["make_problem"]) + float(r["solve"]) for r in rows])
         ends = (seconds[-1] - seconds[0]) / (K[-1] - K[0])
         lines += [
             "",

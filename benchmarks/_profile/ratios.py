@@ -2,9 +2,8 @@
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-import trimesh
+from _heads.methods import nricp
 from _timing import first_and_best
 from scipy.interpolate import make_smoothing_spline
 
@@ -87,22 +86,7 @@ def head_ratios() -> dict[str, float]:
         ),
         1,
     )
-    x = np.asarray(pair.source.vertices)
-    ones = np.column_stack([x, np.ones(len(x))])
-    at = ones[pair.source_landmarks]
-    start = pair.source.copy()
-    start.vertices = ones @ np.linalg.lstsq(at, pair.target_landmarks, rcond=None)[0]
-    theirs = first_and_best(
-        lambda: jnp.asarray(
-            trimesh.registration.nricp_sumner(
-                start,
-                pair.target,
-                source_landmarks=pair.source_landmarks,
-                target_positions=pair.target_landmarks,
-            )
-        ),
-        1,
-    )
+    theirs = first_and_best(lambda: nricp(pair, "sumner"), 1)
     print(
         f"head: {ours[0]:.1f} s, warm {ours[1]:.1f} s; nricp_sumner {theirs[1]:.1f} s"
     )
