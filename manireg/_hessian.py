@@ -26,10 +26,10 @@ from ._objective import (
     energy_residual,
 )
 from ._problem import Problem
-from ._sparse import SparseSymmetric, declare_symmetric, scatter_add
+from ._sparse import SparseSymmetric, declare_symmetric
 
 VALUE = np.array([0])  # the row of a jet that the loss sees
-CHUNK = 64  # elements assembled at a time: bounds the memory
+CHUNK_BYTES = 8_000_000  # assembled at a time: few stay in the cache
 
 
 class PointHessians(eqx.Module):
@@ -92,8 +92,10 @@ def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
         return jnp.concatenate([energy.ravel(), off])
 
     def gram(f, jets, rows):
-        factor = _derivatives(f, jets, rows)
-        return 2.0 * jnp.einsum("aepr,bepr->epab", factor, factor)
+        # a loop over the residuals: einsum makes a small product of every point's
+        columns = jnp.moveaxis(_derivatives(f, jets, rows), 3, 0)
+        squares = [column[:, None] * column for column in columns]
+        return 2.0 * functools.reduce(jnp.add, squares).transpose(2, 3, 0, 1)
 
     landed = lambda target, jet: project_flat(target, jet[0])
     problem, rows = stage.problem, _rows(stage)
@@ -198,23 +200,37 @@ def _add(
 ):
     """Add A^T local A of all points, a chunk of elements at a time."""
     arrays = (local, matrices, into)
-    chunks, rest = divmod(len(local), CHUNK)
-    first = [a[: chunks * CHUNK].reshape(chunks, CHUNK, *a.shape[1:]) for a in arrays]
-    last = [a[chunks * CHUNK :] for a in arrays]
+    e, p, J, U = matrices.shape
+    t = local.shape[-1] // J
+    largest = CHUNK_BYTES / (local.dtype.itemsize * t * (t + 1) / 2 * p * J * U)
+    # a power of two, like the number of elements: mostly without a rest
+    size = min(2 ** int(np.log2(max(largest, 1))), e)
+    chunks = e // size
+    first = [a[: chunks * size].reshape(chunks, size, *a.shape[1:]) for a in arrays]
+    last = [a[chunks * size :] for a in arrays]
     add = lambda blocks, arrays: (_add_chunk(blocks, *arrays), None)
-    if chunks:
-        blocks, _ = jax.lax.scan(add, blocks, first)
-    return _add_chunk(blocks, *last) if rest else blocks
+    blocks, _ = jax.lax.scan(add, blocks, first)
+    return _add_chunk(blocks, *last) if e % size else blocks
 
 
 def _add_chunk(blocks, local, matrices, into):
-    """One dense product an element, then a scatter."""
+    """One dense product an element and pair of coordinates a <= b, then a scatter. The
+    product for (b, a) is the transpose of that for (a, b)."""
     e, p, J, U = matrices.shape
     t = local.shape[-1] // J
-    local = local.reshape(e, p, J, t, J, 1, t)
-    terms = [
-        local[:, :, :, :, k] * matrices[:, :, None, None, k, :, None] for k in range(J)
-    ]
-    half = functools.reduce(jnp.add, terms).reshape(e, p * J, t * U * t)
-    whole = jnp.einsum("equ,eqv->euv", matrices.reshape(e, p * J, U), half)
-    return scatter_add(blocks, into, whole.reshape(e, U * t, U * t))
+    a, b = np.triu_indices(t)
+    local = local.reshape(e, p, J, t, J, t).transpose(0, 3, 5, 1, 2, 4)[:, a, b]
+    terms = [local[..., k, None] * matrices[:, None, :, None, k] for k in range(J)]
+    half = functools.reduce(jnp.add, terms).reshape(e, len(a), p * J, U)
+    whole = jnp.einsum("equ,enqv->enuv", matrices.reshape(e, p * J, U), half)
+
+    pair = np.zeros((t, t), dtype=int)
+    pair[a, b] = pair[b, a] = np.arange(len(a))
+    upper = np.triu(np.ones((t, t), dtype=bool))[:, :, None, None]
+    whole = jnp.where(upper, whole[:, pair], whole.swapaxes(2, 3)[:, pair])
+    size = blocks.shape[-1]
+    L = U * t // size
+    i, j = np.triu_indices(L)
+    whole = whole.reshape(e, t, t, L, size // t, L, size // t)
+    by_centre = whole.transpose(0, 3, 5, 4, 1, 6, 2)[:, i, j]
+    return blocks.at[into].add(by_centre.reshape(e, len(i), size, size), mode="drop")

@@ -16,9 +16,8 @@ from scipy.spatial import KDTree
 
 from ._local_polynomials import LocalPolynomials, basis_values
 
-POINTS_IN_ELEMENT = 24  # at most; 13 to 24 come out
+POINTS_IN_ELEMENT = 12  # at most, times the dimension; half to all of it come out
 STEP = 4  # centres; see `_padded`
-DATA_IN_ELEMENT = 2  # at least: more when data are dense, so that elements stay few
 
 
 class Jets(eqx.Module):
@@ -71,7 +70,8 @@ def jets_of(
     second_forms: Float[Array, "Q m m s"],
 ) -> Jets:
     """Full jets of `basis` at `points`. Runs once, on the host."""
-    elements = _elements(basis, np.asarray(points), POINTS_IN_ELEMENT)
+    largest = POINTS_IN_ELEMENT * min(basis.dim, 2)
+    elements = _elements(basis, np.asarray(points), largest)
     index, mask, near = map(jnp.asarray, elements)
     matrices = _jet_rows(basis, points[index], frames[index], second_forms[index], near)
     return Jets(matrices, _columns(basis, near), index, mask, _buckets(near, basis))
@@ -82,9 +82,9 @@ def value_jets(
 ) -> Jets:
     """Values only. Shapes depend on the number of points and, as far as possible, on
     `energy_jets`, not on where the points lie: new data reuse a compiled program."""
-    p = max(DATA_IN_ELEMENT, -(-len(points) // len(energy_jets.columns)))
-    overlap = energy_jets.columns.shape[1] // basis.size + 1
-    elements = _elements(basis, np.asarray(points), p, _stepped(overlap))
+    p = max(1, len(points) // len(energy_jets.columns))
+    overlap = energy_jets.columns.shape[1] // basis.size
+    elements = _elements(basis, np.asarray(points), p, overlap)
     index, mask, near = map(jnp.asarray, elements)
     matrices = _value_rows(basis, points[index], near)
     columns = _columns(basis, near)
@@ -198,7 +198,7 @@ def _padded(rows, fill, least: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Rows of equal length, each filled up with its `fill`; and what is not filling.
     Beyond `least` lengths are multiples of `STEP`: few shapes, few compilations."""
     lengths = np.array([len(row) for row in rows])
-    width = lengths.max(initial=1)
+    width = int(lengths.max(initial=1))
     if least:
         width = least if width <= least else _stepped(width)
     inside = np.arange(width) < lengths[:, None]

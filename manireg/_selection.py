@@ -14,15 +14,17 @@ from ._checks import check_lam
 from ._folds import GRID, evaluated, held_out_error, training_sets
 from ._jets import values_at_data
 from ._linear_solvers import direct_solvers
-from ._minimise import minimise, newton_minimiser
+from ._minimise import gauge, minimise, newton_minimiser, stage_of
+from ._objective import objective
 from ._problem import Problem, make_problem
 from ._solve import RegressionMap, free_solution, solve
 from ._sources import Source, sampled_dim
 from ._sweep import sweep
 from .manifolds import AbstractManifold
 
-COARSE = 1e-4  # predicted relative decrease of the last Newton step of a fold's fit
-HOPELESS = 2.0  # a path ends where Newton fails and the score is so many times the best
+COARSE = 1e-3  # predicted relative decrease of the last Newton step of a fold's fit
+HOPELESS = 2.0  # times the best mean score: there a path ends
+ANCHOR = 1.5  # wavelength where paths start, in spacings of the data
 
 
 class CrossValidation(eqx.Module):
@@ -90,13 +92,12 @@ def cross_validate(
     """Choose lambda by k-fold cross-validation and refit on all data.
 
     Folds are 0/1 weights, so all fits share one compiled program, and several devices
-    share the folds (see `sweep`). Within a fold the
-    lambdas are followed up and down from the one whose wavelength is the spacing of the
-    data, each fit started from its neighbours, extrapolated in log lambda: measured on
-    curves, two Newton steps a fit, and minima no worse than from cold starts. Under a far
-    too large lambda maps fold up and Newton's method struggles: a path ends where it has
-    not converged in `max_steps` and the score is twice the fold's best; what lies beyond
-    scores infinity.
+    share the folds (see `sweep`). The lambdas are followed up and down from the one whose
+    wavelength is 1.5 spacings of the data, each fit started from its neighbours,
+    extrapolated in log lambda: measured on curves, a few Newton steps a fit, and minima
+    no worse than from cold starts. Either way ends where the mean score is twice the
+    best: under a far too large lambda maps fold up and Newton's method struggles. What
+    lies beyond scores infinity.
 
     **Arguments:**
 
@@ -122,15 +123,8 @@ def cross_validate(
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
 
     def evaluate(grid):
-        at_once = len(jax.devices())
-        filled = np.arange(-(-folds // at_once) * at_once) % folds
-        shared, paths = (problem, grid, solvers, max_steps), []
-        with tqdm(total=folds, desc="folds", disable=not progress, leave=False) as bar:
-            for lanes in np.split(filled, len(filled) // at_once):
-                path = sweep(_path, training[lanes], shared)
-                paths.append(jax.block_until_ready(path))
-                bar.update(at_once)
-        return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:folds], *paths)
+        with tqdm(total=len(grid), desc="lambdas", disable=not progress) as bar:
+            return _follow(grid, (problem, solvers, max_steps), training, bar)
 
     if lams is None:
         grid = lambda_grid(problem)
@@ -138,9 +132,40 @@ def cross_validate(
         check_lam(lams, "lams")
         grid = jnp.sort(jnp.asarray(lams, float).ravel())
     grid, paths, best = evaluated(grid, evaluate, widen=lams is None)
-    scores, w, converged = paths
-    model = solve(problem, grid[best], warm=w[0, best], linear_algebra=linear_algebra)
+    scores, converged, w = paths
+    warm = _lowest(w[:, best], problem, grid[best])
+    model = solve(problem, grid[best], warm=warm, linear_algebra=linear_algebra)
     return CrossValidation(grid[best], grid, scores, converged, model)
+
+
+def _follow(grid, shared, training, bar):
+    """Scores and convergence, `(folds, lams)`; coefficients, `(folds, lams, KC, t)`."""
+    problem, n = shared[0], len(grid)
+    middle = lambda_of_wavelength(problem, ANCHOR * data_spacing(problem))
+    anchor = int(jnp.argmin(jnp.abs(jnp.log(grid / middle))))
+    free = sweep(_start, training, (grid[anchor], *shared))
+    scores = np.full((len(training), n), np.inf)
+    converged = np.zeros((len(training), n), dtype=bool)
+    w = np.zeros((len(training), n, *free.w.shape[1:]))
+
+    def fit(place, i):
+        lanes = training, place
+        place, scores[:, i], converged[:, i] = sweep(
+            _advance, lanes, (grid[i], *shared)
+        )
+        w[:, i] = place.w
+        bar.update()
+        return place
+
+    at_anchor = fit(free, anchor)
+    for indices in (range(anchor + 1, n), range(anchor - 1, -1, -1)):
+        place = at_anchor
+        for i in indices:
+            place = fit(place, i)
+            means = scores.mean(axis=0)
+            if means[i] > HOPELESS * means.min():
+                break
+    return tuple(map(jnp.asarray, (scores, converged, w)))
 
 
 class _Place(eqx.Module):
@@ -150,58 +175,43 @@ class _Place(eqx.Module):
     w: Float[Array, "KC t"]
     slope: Float[Array, "KC t"]
     """dw / d log lambda, from the last two fits."""
-    best: Float[Array, ""]
-    """Lowest score seen by either branch of the path."""
-    ended: Bool[Array, ""]
 
 
-def _path(inside: Bool[Array, " k"], shared):
-    """Along all lambdas, fitted to the data `inside`: the score on the others, the
-    coefficients, and whether Newton converged."""
-    problem, lams, solvers, max_steps = shared
-    fold = eqx.tree_at(lambda p: p.weights, problem, problem.weights * inside)
+def _start(inside: Bool[Array, " k"], shared) -> _Place:
+    lam, problem, solvers, _ = shared
+    w = free_solution(_fold(problem, inside), lam, solvers)
+    return _Place(jnp.log(lam), w, jnp.zeros_like(w))
+
+
+def _advance(lane, shared):
+    """On to the next lambda: the place, its score on the data not `inside`, and whether
+    Newton converged."""
+    (inside, place), (lam, problem, solvers, max_steps) = lane, shared
     newton = newton_minimiser(solvers, COARSE)
-    log_lams = jnp.log(lams)
-    spacing = lambda_of_wavelength(problem, data_spacing(problem))
-    anchor = jnp.argmin(jnp.abs(log_lams - jnp.log(spacing)))
-    position = jnp.arange(len(lams))
-    upwards = position < len(lams) - anchor  # then on from the anchor, downwards
-    order = jnp.where(upwards, anchor + position, len(lams) - 1 - position)
-
-    def fit(place, index):
-        gap = log_lams[index] - place.log_lam
-        start = place.w + gap * place.slope
-        w, _, _, result, _ = minimise(
-            fold, lams[index], start, "projected", newton, max_steps
-        )
-        converged = result == optx.RESULTS.successful
-        score = _score(problem, inside, w)
-        secant = (w - place.w) / jnp.where(gap == 0, jnp.inf, gap)
-        slope = jnp.where(converged, secant, 0.0)
-        ended = ~converged & (score > HOPELESS * place.best)
-        best = jnp.minimum(score, place.best)
-        return _Place(log_lams[index], w, slope, best, ended), score, converged
-
-    def visit(carry, index):
-        place, at_anchor = carry
-        back = eqx.tree_at(lambda p: p.best, at_anchor, place.best)
-        place = _where(index == anchor - 1, back, place)
-        skip = lambda: (place, jnp.full_like(place.best, jnp.inf), jnp.array(False))
-        place, score, converged = jax.lax.cond(
-            place.ended, skip, lambda: fit(place, index)
-        )
-        carry = place, _where(index == anchor, place, at_anchor)
-        return carry, (score, place.w, converged)
-
-    w = free_solution(fold, lams[anchor], solvers)
-    nothing_yet = jnp.full_like(lams[0], jnp.inf), jnp.array(False)
-    start = _Place(log_lams[anchor], w, jnp.zeros_like(w), *nothing_yet)
-    _, path = jax.lax.scan(visit, (start, start), order)
-    return jax.tree.map(lambda a: a[jnp.argsort(order)], path)
+    gap = jnp.log(lam) - place.log_lam
+    start = place.w + gap * place.slope
+    fold = _fold(problem, inside)
+    w, _, _, result, _ = minimise(fold, lam, start, "projected", newton, max_steps)
+    converged = result == optx.RESULTS.successful
+    secant = (w - place.w) / jnp.where(gap == 0, jnp.inf, gap)
+    slope = jnp.where(converged, secant, 0.0)
+    place = _Place(jnp.log(lam), w, slope)
+    return place, _score(problem, inside, w), converged
 
 
-def _where(condition, a: _Place, b: _Place) -> _Place:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), a, b)
+def _fold(problem: Problem, inside) -> Problem:
+    return eqx.tree_at(lambda p: p.weights, problem, problem.weights * inside)
+
+
+@eqx.filter_jit
+def _lowest(w: Float[Array, "folds KC t"], problem: Problem, lam):
+    """The map of lowest objective on all data: folds may lie in different minima."""
+
+    def total(w):
+        stage = stage_of(problem, lam, gauge(problem), "projected", w)
+        return objective(w, stage)[0]
+
+    return w[jnp.argmin(jax.lax.map(total, w))]
 
 
 def _score(problem: Problem, inside, w) -> Float[Array, ""]:

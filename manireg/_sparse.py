@@ -136,16 +136,3 @@ def sparsity(
         SparsityPattern(rows, cols, K, functions),
         tuple(jnp.asarray(into, dtype=jnp.int32) for into in places),
     )
-
-
-def scatter_add(
-    blocks: Float[Array, "nnz b b"],
-    into: Int[Array, "e pairs"],
-    elements: Float[Array, "e Lb Lb"],
-) -> Float[Array, "nnz b b"]:
-    """Add symmetric element matrices to the blocks of a pattern."""
-    e, b = len(elements), blocks.shape[-1]
-    L = elements.shape[1] // b
-    i, j = np.triu_indices(L)
-    by_centre = elements.reshape(e, L, b, L, b).transpose(0, 1, 3, 2, 4)
-    return blocks.at[into].add(by_centre[:, i, j], mode="drop")
