@@ -12,14 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.spatial import KDTree
-from scipy.stats import qmc
 
-from ._charts import Chart, chart_of
-from ._farthest_points import farthest_indices, farthest_points, graded_spacing
-from ._frames import tangent_frames
+from ._charts import chart_of
+from ._point_sets import axis_counts, gauss_panels, grid, of_cloud, quasi_uniform
 from ._sources import Ambient, Source, sampled
-from .manifolds import AbstractManifold, PointCloud, Product, Sphere
+from .manifolds import AbstractManifold, PointCloud, Product
 
 
 class Domain(eqx.Module):
@@ -41,8 +38,6 @@ class Domain(eqx.Module):
 
 _NODES_PER_SPACING = {1: 10, 2: 4}  # Gauss nodes a centre and axis; 3 from dimension 3
 _ON_CLOUD = 12  # points of a cloud per centre
-_CLOUD = 12  # random points of the cloud per quadrature point
-_TANGENT_SAMPLES = 256  # points per Voronoi cell volume
 
 
 def centres_of(source: Source, n: int, around=None, graded: bool = False) -> Domain:
@@ -51,7 +46,7 @@ def centres_of(source: Source, n: int, around=None, graded: bool = False) -> Dom
     _check_graded(source, around, graded)
     chart = chart_of(source, around)
     if chart is not None:
-        spacings = _axis_counts(chart, n)
+        spacings = axis_counts(chart, n)
         axes = []
         for low, high, periodic, count in zip(
             chart.lower, chart.upper, chart.periodic, spacings
@@ -60,14 +55,14 @@ def centres_of(source: Source, n: int, around=None, graded: bool = False) -> Dom
             axes.append(
                 (nodes[:-1] if periodic else nodes, np.ones(count + 1 - periodic))
             )
-        return _grid(source, chart, axes)
+        return with_second_forms(source, *grid(chart, axes))
     if isinstance(source, Product):
         return _product_domain(source, n, around, centres_of)
     if isinstance(source, Ambient):
         return _ambient(centres_of(source.manifold, n, around, graded))
     if isinstance(source, PointCloud):
-        return _of_cloud(source, n, around, graded)
-    return _quasi_uniform(source, n, with_weights=False)
+        return with_second_forms(source, *of_cloud(source, n, around, graded))
+    return with_second_forms(source, *quasi_uniform(source, n, with_weights=False))
 
 
 def discretise(source: Source, n: int, around=None, graded: bool = False) -> Domain:
@@ -97,7 +92,7 @@ def discretise(source: Source, n: int, around=None, graded: bool = False) -> Dom
     if chart is not None:
         axes = []
         for low, high, periodic, count in zip(
-            chart.lower, chart.upper, chart.periodic, _axis_counts(chart, n)
+            chart.lower, chart.upper, chart.periodic, axis_counts(chart, n)
         ):
             if periodic:
                 nodes = np.linspace(low, high, count * per_axis + 1)[:-1]
@@ -107,15 +102,17 @@ def discretise(source: Source, n: int, around=None, graded: bool = False) -> Dom
                 panels, nodes = (
                     (2, per_axis // 2) if per_axis % 2 == 0 else (1, per_axis)
                 )
-                axes.append(_gauss_panels(low, high, count * panels, nodes))
-        return _grid(source, chart, axes)
+                axes.append(gauss_panels(low, high, count * panels, nodes))
+        return with_second_forms(source, *grid(chart, axes))
     if isinstance(source, Product):
         return _product_domain(source, n, around, discretise)
     if isinstance(source, Ambient):
         return _ambient(discretise(source.manifold, n, around, graded))
     if isinstance(source, PointCloud):
-        return _of_cloud(source, n * _ON_CLOUD, around, graded)
-    return _quasi_uniform(source, n * per_axis**source.dim, with_weights=True)
+        n = n * _ON_CLOUD
+        return with_second_forms(source, *of_cloud(source, n, around, graded))
+    n = n * per_axis**source.dim
+    return with_second_forms(source, *quasi_uniform(source, n, with_weights=True))
 
 
 def _check_graded(source: Source, around, graded: bool) -> None:
@@ -125,40 +122,6 @@ def _check_graded(source: Source, around, graded: bool) -> None:
             "graded: only for sources that are point clouds, and near data; found "
             f"{type(surface).__name__}. Leave it out."
         )
-
-
-def _axis_counts(chart: Chart, n: int) -> list[int]:
-    """Spacings along each axis so that cells are about cubes and `n` in number."""
-    steps = np.linspace(0, 1, 65)[:, None] * (chart.upper - chart.lower)
-    middle = 0.5 * (chart.lower + chart.upper)
-    lengths = []
-    for axis in range(len(middle)):
-        line = np.tile(middle, (len(steps), 1))
-        line[:, axis] = chart.lower[axis] + steps[:, axis]
-        points = np.asarray(jax.vmap(chart.embed)(jnp.asarray(line)))
-        lengths.append(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    spacing = (np.prod(lengths) / n) ** (1 / len(lengths))
-    counts = [max(1, round(length / spacing)) for length in lengths]
-    # a closed curve needs three centres to be covered
-    return [max(3, n) if p else n for n, p in zip(counts, chart.periodic)]
-
-
-def _gauss_panels(a: float, b: float, panels: int, nodes: int):
-    x, w = np.polynomial.legendre.leggauss(nodes)
-    edges = np.linspace(a, b, panels + 1)
-    half = 0.5 * np.diff(edges)[:, None]
-    return (edges[:-1, None] + half * (1 + x)).ravel(), (half * w).ravel()
-
-
-def _grid(source: Source, chart: Chart, axes) -> Domain:
-    coordinates = np.stack(np.meshgrid(*(x for x, _ in axes), indexing="ij"), -1)
-    weights = functools.reduce(np.multiply.outer, (w for _, w in axes)).ravel()
-    u = jnp.asarray(coordinates.reshape(len(weights), -1))
-    points = jax.vmap(chart.embed)(u)
-    jacobian = jax.vmap(jax.jacfwd(chart.embed))(u)
-    frames, triangle = jnp.linalg.qr(jacobian)
-    volume = jnp.abs(jnp.prod(jnp.diagonal(triangle, axis1=-2, axis2=-1), axis=-1))
-    return with_second_forms(source, points, frames, volume * weights)
 
 
 def _product_domain(source: Product, n: int, around, build) -> Domain:
@@ -181,91 +144,11 @@ def _product_domain(source: Product, n: int, around, build) -> Domain:
     return with_second_forms(source, points, frames, weights)
 
 
-def _quasi_uniform(source: Source, n: int, with_weights: bool) -> Domain:
-    if not isinstance(source, AbstractManifold):
-        raise TypeError(
-            f"cannot discretise a {type(source).__name__}; use mr.Interval, mr.Box or a "
-            "manifold as the source."
-        )
-    if isinstance(source, Sphere) and source.dim == 2:
-        radius = np.asarray(source.radius)
-        points = radius * _fibonacci(n)
-        weights = np.full(n, 4 * np.pi * radius**2 / n)
-        frames = tangent_frames(source, points)
-    else:
-        cloud = source.random_points(jax.random.key(0), _CLOUD * n)
-        points = farthest_points(np.asarray(cloud).reshape(_CLOUD * n, -1), n)
-        frames = tangent_frames(source, points)
-        weights = np.ones(n)
-        if with_weights:
-            weights = _voronoi_volumes(source, points, frames)
-    return with_second_forms(source, points, frames, weights)
-
-
-def _of_cloud(source: PointCloud, n: int, around, graded: bool) -> Domain:
-    """`n` points of the cloud, farthest points from those next to `around` (if they are
-    no more than `n`); the area of every point of the cloud goes to the nearest of them."""
-    cloud = np.asarray(source.points)
-    first, spacing = [], 1.0
-    if around is not None:
-        first = np.unique(source.nearest(jnp.asarray(around)))
-    if len(first) > n:
-        first = []
-    if graded:
-        spacing = graded_spacing(cloud, np.asarray(around))
-    index = farthest_indices(cloud, min(n, len(cloud)), first, spacing)
-    nearest = KDTree(cloud[index]).query(cloud)[1]
-    areas = np.asarray(source.areas)
-    local_lam = spacing ** (4 - source.dim)
-    areas = areas * local_lam * np.sum(areas) / np.sum(areas * local_lam)
-    weights = np.bincount(nearest, areas, minlength=len(index))
-    points = source.points[index]
-    frames = tangent_frames(source, points)
-    return with_second_forms(source, points, frames, weights)
-
-
 def _ambient(domain: Domain) -> Domain:
     """The same points and weights, all directions, no curvature."""
     Q, s, _ = domain.frames.shape
     frames = jnp.broadcast_to(jnp.eye(s), (Q, s, s))
     return Domain(domain.points, frames, jnp.zeros((Q, s, s, s)), domain.weights)
-
-
-def _fibonacci(n: int) -> np.ndarray:
-    i = np.arange(n) + 0.5
-    z, longitude = 1 - 2 * i / n, np.pi * (1 + 5**0.5) * i
-    rho = np.sqrt(1 - z**2)
-    return np.stack([rho * np.cos(longitude), rho * np.sin(longitude), z], axis=1)
-
-
-def _voronoi_volumes(source, points, frames) -> np.ndarray:
-    """Volume of each point's Voronoi cell on M. Quasi-random vectors u of a tangent ball
-    are sent to M by u -> pi(p + E u); those that stay nearest to p count, each with the
-    volume distortion of that map."""
-    m = source.dim
-    tree = KDTree(points)
-    neighbours = min(len(points), 2 * m + 2)
-    radius = tree.query(points, k=neighbours)[0][:, -1]
-    ball = qmc.Sobol(m, rng=0).random(4 * _TANGENT_SAMPLES) * 2 - 1
-    ball = ball[np.sum(ball**2, axis=1) < 1]
-    ball_volume = 2.0**m * len(ball) / (4 * _TANGENT_SAMPLES)
-    shape = source.point_shape
-
-    def to_manifold(p, frame, u):
-        return source.project((p + frame @ u).reshape(shape)).ravel()
-
-    def cell(p, frame, r):
-        u = r * jnp.asarray(ball)
-        landed = jax.vmap(lambda u: to_manifold(p, frame, u))(u)
-        jacobian = jax.vmap(jax.jacfwd(lambda u: to_manifold(p, frame, u)))(u)
-        gram = jnp.einsum("usa,usb->uab", jacobian, jacobian)
-        return landed, jnp.sqrt(jnp.linalg.det(gram)) * r**m
-
-    batched = jax.jit(jax.vmap(cell))
-    landed, volume = batched(*map(jnp.asarray, (points, frames, radius)))
-    nearest = tree.query(np.asarray(landed).reshape(-1, points.shape[1]))[1]
-    own = nearest.reshape(len(points), -1) == np.arange(len(points))[:, None]
-    return np.sum(own * np.asarray(volume), axis=1) * ball_volume / len(ball)
 
 
 def with_second_forms(source: Source, points, frames, weights) -> Domain:

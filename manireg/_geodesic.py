@@ -11,12 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from ._block_tridiagonal import solve_tridiagonal
 from ._checks import check_points, check_x64, is_concrete, projected
 from ._cloud_paths import cloud_paths
 from ._frames import frames_at
 from ._numerics import norm_squared
 from .manifolds import AbstractManifold, PointCloud
-from .manifolds._generic import relaxed_curve
+from .manifolds._shooting import relaxed_curve
 
 STEP_SIZES = (1.0, 0.5, 0.2, 0.05, 0.01)  # of Newton steps, tried at once
 MAX_STEPS = 50
@@ -219,42 +220,11 @@ def _newton_step(manifold: AbstractManifold, patches, curve):
     frames, gradient, bend = _pointwise(manifold, patches, local, inner, pull)
     side = -jnp.einsum("ita,itb->iab", frames[:-1], frames[1:])
     model = 2 * jnp.broadcast_to(jnp.eye(manifold.dim), bend.shape)
-    solve = jax.vmap(_solve_tridiagonal, (0, None, None))
+    solve = jax.vmap(solve_tridiagonal, (0, None, None))
     x, positive = solve(jnp.stack([model + bend, model]), side, gradient)
     x = jnp.where(positive[0], *x)
     step = -jnp.einsum("itm,im->it", frames, x).reshape(inner.shape)
     return step, 0.5 * jnp.sum(x * gradient)
-
-
-def _solve_tridiagonal(
-    diagonal: Float[Array, "n m m"],
-    side: Float[Array, "n-1 m m"],
-    rhs: Float[Array, "n m"],
-):
-    """Solution with the symmetric matrix of blocks `diagonal` and, right of them, `side`;
-    and whether the matrix is positive definite. By block elimination."""
-    nothing = jnp.zeros((1, *side.shape[1:]))
-    left = jnp.concatenate([nothing, jnp.swapaxes(side, 1, 2)])
-    right = jnp.concatenate([side, nothing])
-
-    def eliminate(before, blocks):
-        diagonal, left, right, rhs = blocks
-        both = jnp.concatenate([diagonal, rhs[:, None]], axis=1) - left @ before
-        factor = jnp.linalg.cholesky(both[:, :-1])
-        sides = jnp.concatenate([right, both[:, -1:]], axis=1)
-        reduced = jax.scipy.linalg.cho_solve((factor, True), sides)
-        return reduced, (reduced, jnp.all(jnp.isfinite(factor)))
-
-    def substitute(after, reduced):
-        x = reduced[:, -1] - reduced[:, :-1] @ after
-        return x, x
-
-    start = jnp.zeros((side.shape[1], side.shape[1] + 1))
-    _, (reduced, positive) = jax.lax.scan(
-        eliminate, start, (diagonal, left, right, rhs)
-    )
-    _, x = jax.lax.scan(substitute, jnp.zeros(side.shape[1]), reduced, reverse=True)
-    return x, jnp.all(positive)
 
 
 def _measured(manifold: AbstractManifold, patches, curve, done) -> Geodesic:

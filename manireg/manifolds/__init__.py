@@ -6,17 +6,19 @@ from ._flat_torus import FlatTorus as FlatTorus
 from ._generic import (
     broadcast_points as broadcast_points,
     geodesic_exp as geodesic_exp,
-    implicit_projection as implicit_projection,
-    implicit_solution as implicit_solution,
     second_form_of_projection as second_form_of_projection,
-    shooting_log as shooting_log,
 )
 from ._grassmann import Grassmann as Grassmann
+from ._implicit import (
+    implicit_projection as implicit_projection,
+    implicit_solution as implicit_solution,
+)
 from ._laws import check_manifold as check_manifold
 from ._level_set import LevelSet as LevelSet
 from ._planar_shapes import PlanarShapes as PlanarShapes
 from ._point_cloud import PointCloud as PointCloud
 from ._product import Product as Product
+from ._shooting import shooting_log as shooting_log
 from ._spd import SymmetricPositiveDefinite as SymmetricPositiveDefinite
 from ._special_orthogonal import SpecialOrthogonal as SpecialOrthogonal
 from ._sphere import Sphere as Sphere

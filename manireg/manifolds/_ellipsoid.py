@@ -9,7 +9,9 @@ from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from .._numerics import norm_squared
 from ._base import AbstractManifold
-from ._generic import broadcast_points, geodesic_exp, implicit_solution, shooting_log
+from ._generic import broadcast_points, geodesic_exp
+from ._implicit import implicit_solution
+from ._shooting import shooting_log
 
 
 class Ellipsoid(AbstractManifold):

@@ -8,12 +8,10 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._numerics import angle_over_sine, norm_squared, squared_angle
 from ._base import AbstractManifold
+from ._matrix_exponentials import rotation_exp, rotation_log, squared_rotation_distance
 from ._matrix_functions import (
     identity_like,
     off_diagonal,
-    rotation_exp,
-    rotation_log,
-    squared_rotation_distance,
     symmetric_part,
     top_eigenprojector,
 )

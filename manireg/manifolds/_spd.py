@@ -8,7 +8,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from ._base import AbstractManifold
-from ._matrix_functions import symmetric_log, symmetric_part
+from ._matrix_exponentials import symmetric_log
+from ._matrix_functions import symmetric_part
 
 
 class SymmetricPositiveDefinite(AbstractManifold):

@@ -7,13 +7,11 @@ import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from ._base import AbstractManifold
+from ._matrix_exponentials import rotation_exp, rotation_log, squared_rotation_distance
 from ._matrix_functions import (
     adjoint,
     closest_rotation,
-    rotation_exp,
-    rotation_log,
     skew_part,
-    squared_rotation_distance,
 )
 
 

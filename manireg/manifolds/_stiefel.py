@@ -8,14 +8,14 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._numerics import norm_squared
 from ._base import AbstractManifold
-from ._generic import shooting_log
+from ._matrix_exponentials import rotation_exp
 from ._matrix_functions import (
     adjoint,
     polar_factor,
-    rotation_exp,
     skew_part,
     symmetric_part,
 )
+from ._shooting import shooting_log
 
 
 class Stiefel(AbstractManifold):

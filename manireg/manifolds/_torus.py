@@ -7,7 +7,8 @@ from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from .._numerics import norm_squared
 from ._base import AbstractManifold
-from ._generic import geodesic_exp, shooting_log
+from ._generic import geodesic_exp
+from ._shooting import shooting_log
 
 
 class Torus(AbstractManifold):
