@@ -57,6 +57,18 @@ def test_hessians(problem, projected):
     assert np.linalg.eigvalsh(model)[0] > -1e-13 * scale
 
 
+def test_assembly_in_chunks(problem, monkeypatch):
+    w = mr.solve(problem, 1e-2).coefficients
+    stage = Stage(problem, LAM, 0.1, False)
+    whole = gauss_newton(w, stage).blocks
+    elements, points, _, functions = problem.data_jets.matrices.shape
+    of_element = 8 * 6 * points * functions  # 6 pairs of coordinates
+    assert elements == 12  # eight and a rest of four
+    monkeypatch.setattr("manireg._hessian.CHUNK_BYTES", 8 * of_element)
+    chunks = gauss_newton(w, stage).blocks
+    np.testing.assert_allclose(chunks, whole, atol=1e-13 * float(jnp.abs(whole).max()))
+
+
 def test_vmap_over_lambda_equals_a_loop(problem):
     lams = jnp.geomspace(1e-6, 1e-2, 4)
     together = jax.vmap(lambda lam: predict(problem, lam))(lams)

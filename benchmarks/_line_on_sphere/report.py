@@ -37,7 +37,7 @@ Gaussian process (scikit-learn: constant times RBF plus white noise, three resta
 marginal likelihood; thin plate and Gaussian process are projected onto the sphere.
 **Bold**: the lowest mean. Beside each rival, a paired t-test against Eells at 5 %:
 `>` Eells is significantly better, `<` significantly worse, `=` undecided; in brackets
-the p-value.
+the p-value. Eells' scores (picture b) end where their mean is twice the best.
 """
 
 
