@@ -23,7 +23,7 @@ from ._sweep import sweep
 from .manifolds import AbstractManifold
 
 COARSE = 1e-3  # predicted relative decrease of the last Newton step of a fold's fit
-HOPELESS = 2.0  # times the best mean score: there a path ends
+HOPELESS = 2.0  # times the best mean score
 ANCHOR = 1.5  # wavelength where paths start, in spacings of the data
 
 
@@ -95,9 +95,10 @@ def cross_validate(
     share the folds (see `sweep`). The lambdas are followed up and down from the one whose
     wavelength is 1.5 spacings of the data, each fit started from its neighbours,
     extrapolated in log lambda: measured on curves, a few Newton steps a fit, and minima
-    no worse than from cold starts. Either way ends where the mean score is twice the
-    best: under a far too large lambda maps fold up and Newton's method struggles. What
-    lies beyond scores infinity.
+    no worse than from cold starts. Under a far too large lambda maps fold up and Newton's
+    method struggles: either way of the default grid ends where the mean score is twice the
+    best, and of a given one where, besides, it has not converged for some fold in
+    `max_steps`. What lies beyond scores infinity.
 
     **Arguments:**
 
@@ -124,7 +125,8 @@ def cross_validate(
 
     def evaluate(grid):
         with tqdm(total=len(grid), desc="lambdas", disable=not progress) as bar:
-            return _follow(grid, (problem, solvers, max_steps), training, bar)
+            shared = problem, solvers, max_steps
+            return _follow(grid, shared, training, bar, adapt=lams is None)
 
     if lams is None:
         grid = lambda_grid(problem)
@@ -138,8 +140,9 @@ def cross_validate(
     return CrossValidation(grid[best], grid, scores, converged, model)
 
 
-def _follow(grid, shared, training, bar):
-    """Scores and convergence, `(folds, lams)`; coefficients, `(folds, lams, KC, t)`."""
+def _follow(grid, shared, training, bar, adapt: bool):
+    """Scores and convergence, `(folds, lams)`; coefficients, `(folds, lams, KC, t)`.
+    `adapt`: no further than to the hopeless."""
     problem, n = shared[0], len(grid)
     middle = lambda_of_wavelength(problem, ANCHOR * data_spacing(problem))
     anchor = int(jnp.argmin(jnp.abs(jnp.log(grid / middle))))
@@ -163,7 +166,8 @@ def _follow(grid, shared, training, bar):
         for i in indices:
             place = fit(place, i)
             means = scores.mean(axis=0)
-            if means[i] > HOPELESS * means.min():
+            hopeless = means[i] > HOPELESS * means.min()
+            if hopeless and (adapt or not converged[:, i].all()):
                 break
     return tuple(map(jnp.asarray, (scores, converged, w)))
 
