@@ -34,7 +34,7 @@ class CrossValidation(eqx.Module):
     """The lambda of the lowest mean score."""
     lams: Float[Array, " lams"]
     scores: Float[Array, "folds lams"]
-    """(Weighted) mean geodesic error on each held-out fold."""
+    """(Weighted) mean geodesic error on each held-out fold; infinite where not tried."""
     converged: Bool[Array, "folds lams"]
     """Where Newton converged."""
     model: RegressionMap

@@ -117,6 +117,16 @@ def test_cv_curve():
     assert axes.get_legend().get_texts()[0].get_text() == r"$\lambda = 0.01$"
 
 
+def test_cv_curve_leaves_out_what_was_not_tried():
+    lams = np.array([0.01, 0.1, 1.0, 10.0])
+    scores = np.array([[1.0, 2.0, 31.0, np.inf], [1.0, 3.0, 33.0, np.inf]])
+    cv = SimpleNamespace(lam=0.01, lams=lams, scores=scores)
+    (axes,) = plot.cv_curve(cv).axes  # type: ignore[attr-defined]
+    curve = axes.containers[0][0]
+    np.testing.assert_allclose(curve.get_xdata(), [0.01, 0.1, 1])
+    assert axes.get_yscale() == "log" and axes.get_ylim()[1] < 100
+
+
 def test_coordinates_curves():
     x = np.linspace(0, 1, 9)
     y = np.stack([x, -x, x**2, 1 - x], axis=-1).reshape(9, 2, 2)

@@ -15,10 +15,12 @@ else:
 
 def cv_curve(cv: Any, *, ax: Axes | None = None) -> Figure:
     """Mean held-out score over the folds against lambda, with its standard error, and
-    the lambda chosen; `cv` as `cross_validate` returns it."""
+    the lambda chosen; `cv` as `cross_validate` returns it. Lambdas that it did not try
+    (score infinity) are left out."""
     with matplotlib().rc_context(STYLE):
         lams, scores = np.asarray(cv.lams), np.asarray(cv.scores)
         order = np.argsort(lams)
+        order = order[np.isfinite(scores[:, order]).all(0)]
         lams, scores = lams[order], scores[:, order]
         mean = scores.mean(0)
         error = scores.std(0, ddof=1) / np.sqrt(len(scores))
