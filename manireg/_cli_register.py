@@ -6,13 +6,12 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
 
 import manireg as mr
 
 from . import plot
 from ._cli_errors import check_written, clean_errors
+from ._cli_report import print_rows
 from ._cli_tables import numbers
 from .datasets import read_table
 
@@ -67,31 +66,26 @@ def register(
         )
         seconds = time.perf_counter() - start
         found.mesh().export(out)
-        written = [str(out)]
+        written = [out]
         if morph is not None:
             path = out.with_stem(f"{out.stem}_morph")
             found.mesh(morph).export(path)
-            written.append(str(path))
+            written.append(path)
         if picture is not None:
             plot.save(
                 plot.registration(found, 0.5 if morph is None else morph), picture
             )
-            written.append(str(picture))
-        table = Table(show_header=False, box=None, pad_edge=False)
+            written.append(picture)
+        rows = {}
         if found.cv is not None:
-            table.add_row("lambda", f"{float(found.cv.lam):.3g} (landmarks left out)")
-            table.add_row(
-                "error of a left-out landmark", f"{float(found.cv.score):.3g}"
-            )
+            rows["lambda"] = f"{float(found.cv.lam):.3g} (landmarks left out)"
+            rows["error of a left-out landmark"] = f"{float(found.cv.score):.3g}"
         errors = found.landmark_errors
-        table.add_row(
-            "landmark errors", f"{errors.mean():.3g}, at most {errors.max():.3g}"
-        )
+        rows["landmark errors"] = f"{errors.mean():.3g}, at most {errors.max():.3g}"
         low, high = np.percentile(found.stretch(), [5, 95])
-        table.add_row("area on target / source", f"{low:.2f} to {high:.2f} (90 %)")
-        table.add_row("time", f"{seconds:.0f} s")
-        table.add_row("written", ", ".join(written))
-        Console().print(table)
+        rows["area on target / source"] = f"{low:.2f} to {high:.2f} (90 %)"
+        rows["time"] = f"{seconds:.0f} s"
+        print_rows(rows, written)
 
 
 def _read_landmarks(file: Path):

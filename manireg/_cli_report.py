@@ -1,4 +1,4 @@
-"""What `manireg demo` and `manireg fit` print of a fitted map."""
+"""What the commands print."""
 
 from pathlib import Path
 from typing import Any
@@ -17,21 +17,29 @@ def report(
     files: list[Path],
     more: dict[str, str] | None = None,
 ) -> None:
+    """Of a fitted map: for `manireg demo` and `manireg fit`."""
+
     def shown(error) -> str:
         unit = 1.0 if degrees is None else degrees
         return f"{float(error) * unit:.3g}" + ("" if degrees is None else " degrees")
 
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_row("data", data)
+    rows = {"data": data}
     chosen = " (cross-validation)" if cv is not None else ""
-    table.add_row("lambda", f"{float(model.lam):.4g}{chosen}")
+    rows["lambda"] = f"{float(model.lam):.4g}{chosen}"
     if cv is not None:
-        table.add_row("held-out error, mean", shown(cv.score))
-    table.add_row("residual, rms", shown(np.sqrt(model.energies.loss)))
-    for name, value in (more or {}).items():
+        rows["held-out error, mean"] = shown(cv.score)
+    rows["residual, rms"] = shown(np.sqrt(model.energies.loss))
+    rows |= more or {}
+    rows["Eells energy"] = f"{float(model.energies.eells):.4g}"
+    rows["off the manifold"] = f"{float(model.energies.off_manifold):.1e}"
+    rows["time"] = f"{seconds:.1f} s"
+    print_rows(rows, files)
+
+
+def print_rows(rows: dict[str, str], files: list[Path]) -> None:
+    """A line each, the files written last."""
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for name, value in rows.items():
         table.add_row(name, value)
-    table.add_row("Eells energy", f"{float(model.energies.eells):.4g}")
-    table.add_row("off the manifold", f"{float(model.energies.off_manifold):.1e}")
-    table.add_row("time", f"{seconds:.1f} s")
-    table.add_row("written", ", ".join(str(file) for file in files))
+    table.add_row("written", ", ".join(map(str, files)))
     Console().print(table)

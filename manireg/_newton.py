@@ -20,13 +20,9 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Int, Scalar
 
 
-class _NewtonState(eqx.Module):
-    # updated every search step
-    first_step: Bool[Array, ""]
-    y_eval: Any
-    search_state: Any
-    num_trials: Int[Array, ""]
-    # updated after every accepted step
+class _Accepted(eqx.Module):
+    """What is known at the last accepted point."""
+
     f_info: Any
     aux: Any
     descent_state: Any
@@ -34,9 +30,18 @@ class _NewtonState(eqx.Module):
     decrease: Scalar
     model: Any
     near: Bool[Array, ""]
+    done: Bool[Array, ""]
+
+
+class _NewtonState(eqx.Module):
+    # updated every search step
+    first_step: Bool[Array, ""]
+    y_eval: Any
+    search_state: Any
+    num_trials: Int[Array, ""]
+    # updated after every accepted step
+    accepted: _Accepted
     num_accepted_steps: Int[Array, ""]
-    # used for termination
-    terminate: Bool[Array, ""]
     result: optx.RESULTS
 
 
@@ -82,19 +87,22 @@ class Newton(optx.AbstractMinimiser):
             y_eval=y,
             search_state=self.search.init(y, f_info),
             num_trials=jnp.array(0),
-            f_info=_zeros(f_info),
-            aux=_zeros(aux_struct),
-            descent_state=self.model_descent.init(y, with_hessian),
-            stretch=jnp.ones(()),
-            decrease=jnp.zeros(()),
-            model=_zeros(hessian),
-            near=jnp.array(False),
+            accepted=_Accepted(
+                f_info=_zeros(f_info),
+                aux=_zeros(aux_struct),
+                descent_state=self.model_descent.init(y, with_hessian),
+                stretch=jnp.ones(()),
+                decrease=jnp.zeros(()),
+                model=_zeros(hessian),
+                near=jnp.array(False),
+                done=jnp.array(False),
+            ),
             num_accepted_steps=jnp.array(0),
-            terminate=jnp.array(False),
             result=optx.RESULTS.successful,
         )
 
     def step(self, fn, y, args, options, state, tags):
+        last = state.accepted
         f_eval, vjp, aux_eval = jax.vjp(
             lambda y: fn(y, args), state.y_eval, has_aux=True
         )
@@ -102,7 +110,7 @@ class Newton(optx.AbstractMinimiser):
             state.first_step,
             y,
             state.y_eval,
-            state.f_info,
+            last.f_info,
             optx.FunctionInfo.Eval(f_eval),
             state.search_state,
         )
@@ -113,24 +121,24 @@ class Newton(optx.AbstractMinimiser):
 
             def query(descent, hessian):
                 info = optx.FunctionInfo.EvalGradHessian(f_eval, grad, hessian)
-                new_state = descent.query(state.y_eval, info, state.descent_state)
+                new_state = descent.query(state.y_eval, info, last.descent_state)
                 step, result = descent.step(jnp.ones_like(f_eval), new_state)
                 decrease = -0.5 * f_info.compute_grad_dot(step)
                 solved = result == optx.RESULTS.successful
                 return new_state, jnp.where(solved, decrease, -1.0)
 
             def query_exact():
-                hessian = self.exact_hessian(state.y_eval, args, state.model)
-                return *query(self.exact_descent, hessian), state.model
+                hessian = self.exact_hessian(state.y_eval, args, last.model)
+                return *query(self.exact_descent, hessian), last.model
 
             def query_model():
                 hessian = self.model_hessian(state.y_eval, args)
                 return *query(self.model_descent, hessian), hessian
 
             exact = jax.lax.cond(
-                state.near,
+                last.near,
                 query_exact,
-                lambda: (state.descent_state, jnp.full_like(f_eval, -1.0), state.model),
+                lambda: (last.descent_state, jnp.full_like(f_eval, -1.0), last.model),
             )
             downhill = jnp.isfinite(exact[1]) & (exact[1] > 0)
             descent_state, decrease, model = jax.lax.cond(
@@ -141,37 +149,13 @@ class Newton(optx.AbstractMinimiser):
             rounding = 8 * jnp.finfo(f_eval.dtype).eps * jnp.abs(f_eval)
             tolerance = self.atol + self.rtol * jnp.abs(f_eval) + rounding
             done = decrease <= tolerance
-            return (
-                state.y_eval,
-                f_info,
-                aux_eval,
-                descent_state,
-                stretch,
-                decrease,
-                model,
-                near,
-                done,
+            return state.y_eval, _Accepted(
+                f_info, aux_eval, descent_state, stretch, decrease, model, near, done
             )
 
-        def rejected():
-            unfinished = jnp.array(False)
-            return (
-                y,
-                state.f_info,
-                state.aux,
-                state.descent_state,
-                state.stretch,
-                state.decrease,
-                state.model,
-                state.near,
-                unfinished,
-            )
-
-        y, f_info, aux, descent_state, stretch, decrease, model, near, terminate = (
-            jax.lax.cond(accept, accepted, rejected)
-        )
-        length = stretch * step_size
-        step, descent_result = self.model_descent.step(length, descent_state)
+        y, now = jax.lax.cond(accept, accepted, lambda: (y, last))
+        length = now.stretch * step_size
+        step, descent_result = self.model_descent.step(length, now.descent_state)
         result = optx.RESULTS.where(
             search_result == optx.RESULTS.successful, descent_result, search_result
         )
@@ -182,32 +166,26 @@ class Newton(optx.AbstractMinimiser):
             y_eval=jtu.tree_map(jnp.add, y, step),
             search_state=search_state,
             num_trials=state.num_trials + 1,
-            f_info=f_info,
-            aux=aux,
-            descent_state=descent_state,
-            stretch=stretch,
-            decrease=decrease,
-            model=model,
-            near=near,
+            accepted=now,
             num_accepted_steps=state.num_accepted_steps + accept,
-            terminate=terminate,
             result=result,
         )
-        return y, new_state, aux
+        return y, new_state, now.aux
 
     def _stretch(self, y, f_eval, state):
         """Curvatures along the step just made, s: of the objective, 2 (f' - f - g^T s); of
         the quadratic of decrease d behind it, (g^T s)^2 / 2d."""
-        slope = state.f_info.compute_grad_dot(
+        last = state.accepted
+        slope = last.f_info.compute_grad_dot(
             jtu.tree_map(jnp.subtract, state.y_eval, y)
         )
-        seen = 2 * (f_eval - state.f_info.f - slope)
-        expected = slope**2 / (2 * jnp.where(slope == 0, 1.0, state.decrease))
+        seen = 2 * (f_eval - last.f_info.f - slope)
+        expected = slope**2 / (2 * jnp.where(slope == 0, 1.0, last.decrease))
         ratio = expected / jnp.maximum(seen, expected / self.longest)
         return jnp.where(slope == 0, 1.0, jnp.maximum(ratio, 1.0))
 
     def terminate(self, fn, y, args, options, state, tags):
-        return state.terminate, state.result
+        return state.accepted.done, state.result
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         stats = {
@@ -215,7 +193,9 @@ class Newton(optx.AbstractMinimiser):
             "num_trials": state.num_trials,
         }
         # at the end the full Newton step is known already: take it
-        y = jtu.tree_map(lambda a, b: jnp.where(state.terminate, a, b), state.y_eval, y)
+        y = jtu.tree_map(
+            lambda a, b: jnp.where(state.accepted.done, a, b), state.y_eval, y
+        )
         return y, aux, stats
 
 
