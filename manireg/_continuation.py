@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import optimistix as optx
 
-from ._newton import Newton
+from ._newton import Newton, add_counts
 from ._objective import Stage, objective
 from ._problem import Problem
 
@@ -40,7 +40,7 @@ def penalty_path(problem: Problem, lam, w0, newton: Newton, max_steps: int):
     def next_stage(carry):
         stage, w, gamma, gap, _, _, _, stats = carry
         w, total, new_gap, solution = minimise(w, FACTOR * gamma)
-        stats = jax.tree.map(jnp.add, stats, _counts(solution))
+        stats = add_counts(solution.stats, stats)
         halved = new_gap < 0.5 * gap
         return (
             stage + 1,
@@ -54,14 +54,9 @@ def penalty_path(problem: Problem, lam, w0, newton: Newton, max_steps: int):
         )
 
     w, total, gap, solution = minimise(w0, gamma)
-    first = (1, w, gamma, gap, True, total, solution.result, _counts(solution))
+    first = (1, w, gamma, gap, True, total, solution.result, solution.stats)
     carry = jax.tree.map(jnp.asarray, first)
     _, w, gamma, _, _, total, result, stats = jax.lax.while_loop(
         unfinished, next_stage, carry
     )
-    return w, gamma, total, result, {**solution.stats, **stats}
-
-
-def _counts(solution):
-    names = ("num_newton_steps", "num_trials")
-    return {name: solution.stats[name] for name in names}
+    return w, gamma, total, result, stats

@@ -1,6 +1,7 @@
 """From start coefficients to a minimiser: on analytic targets one Newton solve (or the
 paper's penalty path), on point clouds a few, each on fixed patches."""
 
+import functools
 from typing import Literal
 
 import equinox as eqx
@@ -13,7 +14,7 @@ from ._continuation import penalty_path
 from ._hessian import exact, gauss_newton
 from ._linear_solvers import DirectSolvers
 from ._local_target import local_target, moved
-from ._newton import Newton
+from ._newton import Newton, add_counts
 from ._objective import Stage, objective
 from ._problem import Problem
 from ._sources import Ambient
@@ -21,6 +22,7 @@ from .manifolds import PointCloud
 
 GAUGE = 0.1  # gamma vol(M) of the projected energy: holds Psi near N, costs 1e-4 of E
 AMBIENT_GAUGE = 10.0  # of the penalised one on ambient sources, in one stage
+ROUGH = 1e-3  # relative decrease to which each of several starts is followed
 FLOOR = 1e-14  # of mean |y|^2: a smaller decrease is rounding (perfect fits)
 ROUNDS = 12  # Newton solves on a point cloud, each on the patches of the one before
 ROUND_STEPS = 4  # trial steps of each: more are lost when the patches change
@@ -82,6 +84,41 @@ def minimise(
     return w, stage.gamma, total, result, stats
 
 
+def minimise_from(
+    problem: Problem,
+    lam,
+    starts: Float[Array, "starts KC t"],
+    method: Method,
+    newton: Newton,
+    max_steps: int,
+):
+    """The same from several starts: all roughly, then on from the lowest."""
+
+    def descend(w0, rtol):
+        to = eqx.tree_at(lambda n: n.rtol, newton, rtol)
+        return minimise(problem, lam, w0, method, to, max_steps)
+
+    if len(starts) == 1:
+        return descend(starts[0], newton.rtol)
+
+    # passes of one loop, so that Newton is compiled once
+    def next_pass(lowest, this):
+        start, last = this
+        w0 = jnp.where(last, lowest[0], start)
+        found = descend(w0, jnp.where(last, newton.rtol, rough))
+        w, _, total, *_ = found
+        lower = functools.partial(jnp.where, total < lowest[1])
+        return jax.tree.map(lower, (w, total), lowest), found
+
+    rough = jnp.maximum(newton.rtol, ROUGH)
+    last = jnp.arange(len(starts) + 1) == len(starts)
+    passes = jnp.concatenate([starts, starts[:1]]), last
+    _, found = jax.lax.scan(next_pass, (starts[0], jnp.inf), passes)
+    *before, end = (jax.tree.map(lambda a: a[i], found) for i in range(len(last)))
+    stats = functools.reduce(add_counts, [stats for *_, stats in before], end[-1])
+    return *end[:-1], stats
+
+
 def _newton_solve(newton: Newton, stage: Stage, w, max_steps: int):
     solution = optx.minimise(
         objective, newton, w, stage, has_aux=True, max_steps=max_steps, throw=False
@@ -111,9 +148,7 @@ def _rounds(newton: Newton, stage: Stage, w0):
     def next_round(carry):
         rounds, w, local, _, _, before = carry
         w, local, total, result, stats = solve_round(w, local)
-        counts = ("num_newton_steps", "num_trials", "num_steps")
-        stats = {**stats, **{name: stats[name] + before[name] for name in counts}}
-        return rounds + 1, w, local, total, result, stats
+        return rounds + 1, w, local, total, result, add_counts(stats, before)
 
     first = solve_round(w0, stage.local)
     carry = jax.tree.map(jnp.asarray, (1, *first))

@@ -199,6 +199,12 @@ class Newton(optx.AbstractMinimiser):
         return y, aux, stats
 
 
+def add_counts(stats: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+    """`stats` of a solve, with the steps of one before it."""
+    counts = ("num_newton_steps", "num_trials", "num_steps")
+    return {**stats, **{name: stats[name] + before[name] for name in counts}}
+
+
 def _zeros(struct):
     is_struct = lambda x: isinstance(x, jax.ShapeDtypeStruct)
     fill = lambda x: jnp.zeros(x.shape, x.dtype) if is_struct(x) else x

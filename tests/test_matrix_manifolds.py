@@ -3,6 +3,7 @@
 # pyright: reportArgumentType=false, reportIndexIssue=false
 
 import math
+import re
 
 import equinox as eqx
 import jax
@@ -92,6 +93,21 @@ def skew(n, angles, seed=0):
 
 
 # Projection
+
+
+@pytest.mark.parametrize(
+    "manifold",
+    [SpecialOrthogonal(4), Stiefel(4, 2), Grassmann(4, 2), PlanarShapes(4)],
+    ids=repr,
+)
+def test_decompositions_are_not_batched(manifold, key):
+    """Two batches at a time may wait for each other for ever (jaxlib 0.10)."""
+    points = ambient(manifold, key, 100)
+    program = jax.jit(jax.vmap(manifold.project)).lower(points).compile().as_text()
+    assert program is not None
+    calls = re.findall(r"= (\(.*\)) custom-call\(.*lapack_\w+(?:ev|sd)d", program)
+    assert calls
+    assert not any(re.search(r"\[\d+,\d+,\d+\]", shapes) for shapes in calls)
 
 
 @pytest.mark.parametrize("n", [2, 3, 4])

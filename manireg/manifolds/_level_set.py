@@ -12,6 +12,7 @@ from .._numerics import norm_squared
 from ._base import AbstractManifold
 from ._generic import broadcast_points, geodesic_exp
 from ._implicit import implicit_solution
+from ._lapack import eigh
 from ._shooting import shooting_log
 
 _STEP_SIZES = (1.0, 0.5, 0.2, 0.05)  # of Newton steps, tried at once
@@ -194,7 +195,7 @@ def _closest_point(manifold: LevelSet, p: Array) -> Array:
         bend = jax.hessian(lambda y: mu @ manifold._equations(y))(y)
         tangent = jnp.eye(p.size) - _lift(derivative, derivative)
         # I - A on the tangent space, made positive: descent also beyond the reach
-        size, frame = jnp.linalg.eigh(jnp.eye(p.size) + tangent @ bend @ tangent)
+        size, frame = eigh(jnp.eye(p.size) + tangent @ bend @ tangent)
         pull = frame.T @ (tangent @ (p - y)) / jnp.maximum(jnp.abs(size), 0.1)
         step = tangent @ (frame @ pull)
         tries = jax.vmap(lambda a: _restore(manifold, y + a * step))(sizes)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._numerics import angle_over_sine, cos_sinc, norm_squared, squared_angle
+from ._lapack import eigh
 from ._matrix_functions import (
     adjoint,
     closest_rotation,
@@ -82,7 +83,7 @@ def squared_rotation_distance(
 
 @jax.custom_jvp
 def _square_root(s: Float[Array, "..."]) -> Float[Array, "..."]:
-    values, vectors = jnp.linalg.eigh(s)
+    values, vectors = eigh(s)
     return (vectors * jnp.sqrt(values)[..., None, :]) @ adjoint(vectors)
 
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
 from .._numerics import norm_squared
+from ._lapack import eigh, svd
 
 
 def adjoint(a: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
@@ -50,7 +51,7 @@ def lyapunov(
 def _solve_lyapunov(
     s: Inexact[Array, "..."], k: Inexact[Array, "..."]
 ) -> Inexact[Array, "..."]:
-    values, vectors = jnp.linalg.eigh(s)
+    values, vectors = eigh(s)
     sums = values[..., :, None] + values[..., None, :]
     # A zero sum of an eigenvalue with itself meets a zero of k (skew k): 0/1, not 0/0.
     sums = jnp.where(sums == 0.0, 1.0, sums)
@@ -95,7 +96,7 @@ def _polar_tangent(
 def polar_factor(p: Float[Array, "..."]) -> Float[Array, "..."]:
     r"""$p\,(p^T p)^{-1/2}$ for p of shape `(..., n, p)`: the closest matrix with
     orthonormal columns, defined where p has full rank."""
-    u, _, vt = jnp.linalg.svd(p, full_matrices=False)
+    u, _, vt = svd(p)
     return u @ vt
 
 
@@ -139,7 +140,7 @@ def closest_rotation(p: Float[Array, "..."]) -> Float[Array, "..."]:
     decomposition $u s v^T$; defined where $s_{n-1} + \mathrm{sign}(\det p) s_n > 0$."""
     if p.shape[-1] == 3:
         return _foam(p)
-    u, _, vt = jnp.linalg.svd(p)
+    u, _, vt = svd(p)
     sign = jnp.sign(jnp.linalg.det(u @ vt))[..., None]
     u = jnp.concatenate([u[..., :-1], u[..., -1:] * sign[..., None]], axis=-1)
     return u @ vt
@@ -156,7 +157,7 @@ def _closest_rotation_jvp(primals, tangents):
 def top_eigenprojector(s: Inexact[Array, "..."], rank: int) -> Inexact[Array, "..."]:
     r"""Orthogonal projector on the span of the `rank` leading eigenvectors of the
     Hermitian s; defined where $\lambda_\mathrm{rank} > \lambda_{\mathrm{rank}+1}$."""
-    _, vectors = jnp.linalg.eigh(s)
+    _, vectors = eigh(s)
     leading = vectors[..., -rank:]
     return leading @ adjoint(leading)
 
@@ -167,7 +168,7 @@ def _top_eigenprojector_jvp(rank, primals, tangents):
     the gap: m is positive definite, and dy does not depend on c."""
     (s,), (ds,) = primals, tangents
     y = top_eigenprojector(s, rank)
-    values = jax.lax.stop_gradient(jnp.linalg.eigvalsh(s))
+    values = jax.lax.stop_gradient(eigh(s)[0])
     n = s.shape[-1]
     middle = (values[..., n - rank] + values[..., n - rank - 1]) / 2
     one = identity_like(s)

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 from .._numerics import norm_squared
 from ._base import AbstractManifold
 from ._generic import geodesic_exp
+from ._lapack import eigh
 
 _STEPS = 8  # Newton steps to the closest point; from near points 4 are enough
 
@@ -40,7 +41,7 @@ class QuadricPatch(AbstractManifold):
     @property
     def reach(self) -> ScalarLike:
         """The smallest radius of curvature at the origin."""
-        return 1.0 / jnp.max(jnp.abs(jnp.linalg.eigvalsh(self.bending)))
+        return 1.0 / jnp.max(jnp.abs(eigh(self.bending)[0]))
 
     @property
     def injectivity_radius(self) -> ScalarLike:

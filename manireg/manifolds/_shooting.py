@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from ._base import AbstractManifold
 from ._generic import broadcast_points
+from ._lapack import eigh
 
 _CURVES = 5  # discrete curves, of the shortest of which `shooting_log` starts
 _SEGMENTS = 8  # of each of them
@@ -36,7 +37,7 @@ def _shoot(manifold: AbstractManifold, p: Array, q: Array) -> Array:
     shape, size = p.shape, p.size
     basis = jnp.eye(size).reshape(size, *shape)
     matrix = manifold.tangent_projection(p, basis).reshape(size, size)
-    frame = jnp.linalg.eigh((matrix + matrix.T) / 2)[1][:, size - manifold.dim :]
+    frame = eigh((matrix + matrix.T) / 2)[1][:, size - manifold.dim :]
 
     def miss(x):
         gap = manifold.exp(p, (frame @ x).reshape(shape)) - q
