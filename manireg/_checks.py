@@ -90,6 +90,22 @@ def check_data(source: Source, target: AbstractManifold, x, y, weights):
     return jnp.asarray(x), y.reshape(len(x), -1), jnp.asarray(weights)
 
 
+def check_landmarks(
+    name: str, surface: PointCloud, positions: np.ndarray
+) -> np.ndarray:
+    """The points of the surface closest to `positions`, which may lie up to a hundredth
+    of its size away."""
+    landed = np.asarray(projected(surface, jnp.asarray(positions)))
+    gap = np.linalg.norm(landed - positions, axis=1)
+    size = np.linalg.norm(np.ptp(np.asarray(surface.points), axis=0))
+    if gap.max() > 1e-2 * size:
+        raise ValueError(
+            f"{name}: landmark {gap.argmax()} lies {gap.max():.3g} off the surface, more "
+            f"than 1 % of its size ({size:.3g}). Wrong units or the wrong mesh?"
+        )
+    return landed
+
+
 def check_lam(lam, name="lam"):
     if not is_concrete(lam):
         return

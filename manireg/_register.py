@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 from jaxtyping import ArrayLike, Float, Int, ScalarLike
 
+from ._checks import check_landmarks
 from ._leave_one_out import RTOL, cut_errors, leave_one_out
 from ._problem import make_problem
 from ._selection import CrossValidation
@@ -178,12 +179,4 @@ def _positions(name: str, landmarks, vertices, cloud: PointCloud) -> np.ndarray:
         )
     if not np.all(np.isfinite(positions)):
         raise ValueError(f"{name}: NaN or infinity; remove these pairs.")
-    landed = np.asarray(cloud.project(jnp.asarray(positions)))
-    gap = np.linalg.norm(landed - positions, axis=1)
-    size = np.linalg.norm(np.ptp(vertices, axis=0))
-    if gap.max() > 1e-2 * size:
-        raise ValueError(
-            f"{name}: landmark {gap.argmax()} lies {gap.max():.3g} off the surface, more "
-            f"than 1 % of its size ({size:.3g}). Wrong units or the wrong mesh?"
-        )
-    return landed
+    return check_landmarks(name, cloud, positions)

@@ -259,7 +259,7 @@ def spoiled(x):
         ),
         (lambda v, x, y, t: (v, x * [1, 1, 0], y, t), "all in one plane"),
         (lambda v, x, y, t: (v, x[[0, *range(19)]], y, t), "some occur twice"),
-        (lambda v, x, y, t: (v, x, 2 * y, t), "lies 1 off the target"),
+        (lambda v, x, y, t: (v, x, 2 * y, t), "lies 1 off the surface"),
     ],
 )
 def test_bad_input(points, ball, change, message):

@@ -113,11 +113,5 @@ def checked_task(source_vertices, source_landmarks, target_landmarks, target):
         )
     vertices = checked_positions("source_vertices", source_vertices)
     x, y = checked_pairs(source_landmarks, target_landmarks)
-    gap = np.linalg.norm(projected(target, y) - y, axis=1)
-    size = np.linalg.norm(np.ptp(np.asarray(target.points), axis=0))
-    if gap.max() > 1e-2 * size:
-        raise ValueError(
-            f"target_landmarks: landmark {gap.argmax()} lies {gap.max():.3g} off the "
-            f"target, more than 1 % of its size ({size:.3g}). Wrong units or surface?"
-        )
+    _checks.check_landmarks("target_landmarks", target, y)
     return vertices, x, y

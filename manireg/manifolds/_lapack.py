@@ -2,8 +2,8 @@
 
 jaxlib 0.10 gives a batch to the threads of XLA's pool and waits for them on one of these.
 As many batches at a time as there are threads (two on many machines), and all wait for
-each other: the program hangs. Mended in jaxlib 0.11.2; of small matrices a loop costs the
-same.
+each other: the program hangs. Mended in jaxlib 0.11.2; of small matrices a loop costs a
+third more. Not to be differentiated: whoever calls these knows a better derivative.
 """
 
 from collections.abc import Callable
@@ -12,16 +12,26 @@ import jax
 import jax.numpy as jnp
 
 
-def _in_turn(f: Callable, signature: str) -> Callable:
-    one_by_one = jax.custom_batching.sequential_vmap(f)
-    on_cpu = jnp.vectorize(one_by_one, signature=signature)
-    return lambda a: jax.lax.platform_dependent(a, cpu=on_cpu, default=f)
+def _in_turn(decompose: Callable) -> Callable:
+    """`decompose` of matrices `(..., n, p)`, never called on a batch on the CPU."""
+    loop = lambda a: jax.lax.map(decompose, a)
+
+    @jax.custom_batching.custom_vmap
+    def in_turn(a):
+        flat = a.reshape(-1, *a.shape[-2:])
+        parts = jax.lax.platform_dependent(flat, cpu=loop, default=decompose)
+        return tuple(part.reshape(*a.shape[:-2], *part.shape[1:]) for part in parts)
+
+    @in_turn.def_vmap
+    def _(axis_size, in_batched, a):
+        parts = in_turn(a)
+        return parts, tuple(in_batched[0] for _ in parts)
+
+    return in_turn
 
 
-eigh = _in_turn(lambda s: tuple(jnp.linalg.eigh(s)), "(n,n)->(n),(n,n)")
-"""Ascending eigenvalues and eigenvectors of Hermitian matrices."""
+eigh = _in_turn(lambda s: tuple(jnp.linalg.eigh(s)))
+"""Ascending eigenvalues and eigenvectors of Hermitian matrices `(..., n, n)`."""
 
-svd = _in_turn(
-    lambda a: tuple(jnp.linalg.svd(a, full_matrices=False)), "(n,p)->(n,q),(q),(q,p)"
-)
-"""Thin singular value decompositions u, s, v^T."""
+svd = _in_turn(lambda a: tuple(jnp.linalg.svd(a, full_matrices=False)))
+"""Thin singular value decompositions u, s, v^T of matrices `(..., n, p)`."""

@@ -168,7 +168,7 @@ def _top_eigenprojector_jvp(rank, primals, tangents):
     the gap: m is positive definite, and dy does not depend on c."""
     (s,), (ds,) = primals, tangents
     y = top_eigenprojector(s, rank)
-    values = jax.lax.stop_gradient(eigh(s)[0])
+    values, _ = eigh(jax.lax.stop_gradient(s))
     n = s.shape[-1]
     middle = (values[..., n - rank] + values[..., n - rank - 1]) / 2
     one = identity_like(s)
