@@ -6,14 +6,16 @@ are held fixed during a Newton solve and renewed before the next (paper, section
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ._jets import jet_values
 from ._problem import Problem
 from .manifolds import PointCloud
 from .manifolds._quadric_patch import QuadricPatch
 
-HOLD = 1.1  # a patch is kept until another point is nearer by this factor
+HOLD = (
+    1.1  # a patch is kept until another is nearer by this factor to the power renewals
+)
 MOST_BEND = 0.5  # distance to a patch in units of its radius of curvature
 
 
@@ -27,11 +29,15 @@ class LocalTarget(eqx.Module):
 
 
 def local_target(
-    problem: Problem, w: Float[Array, "KC t"], held: LocalTarget | None = None
+    problem: Problem,
+    w: Float[Array, "KC t"],
+    held: LocalTarget | None = None,
+    renewals: ArrayLike = 1,
 ) -> LocalTarget | None:
     """Around the map with coefficients `w`; None if the target needs no such thing. A
-    patch of `held` stays where its point is still about the nearest: two patches that
-    each send the map to the other would be exchanged for ever."""
+    patch of `held` stays until another point is nearer by a factor that grows with the
+    renewals: two patches that each send the map to the other would be exchanged for ever,
+    and a few of these keep an intrinsic energy from settling."""
     cloud = problem.target
     if not isinstance(cloud, PointCloud):
         return None
@@ -41,7 +47,7 @@ def local_target(
     if held is not None:
         gap = lambda psi, i: jnp.linalg.norm(psi - cloud.points[i], axis=-1)
         nearest = [
-            jnp.where(gap(psi, old) < HOLD * gap(psi, new), old, new)
+            jnp.where(gap(psi, old) < HOLD**renewals * gap(psi, new), old, new)
             for psi, old, new in zip(values, held.nearest, nearest)
         ]
     energy, data = (

@@ -130,10 +130,10 @@ def _newton_solve(newton: Newton, stage: Stage, w, max_steps: int):
 def _rounds(newton: Newton, stage: Stage, w0):
     """Newton solves with the patches renewed in between, until hardly any change."""
 
-    def solve_round(w, local):
+    def solve_round(rounds, w, local):
         here = eqx.tree_at(lambda s: s.local, stage, local)
         w, total, result, stats = _newton_solve(newton, here, w, ROUND_STEPS)
-        renewed = local_target(stage.problem, w, local)
+        renewed = local_target(stage.problem, w, local, rounds)
         assert renewed is not None
         share = moved(local, renewed)
         done = (result == optx.RESULTS.successful) & (share <= SETTLED)
@@ -147,10 +147,10 @@ def _rounds(newton: Newton, stage: Stage, w0):
 
     def next_round(carry):
         rounds, w, local, _, _, before = carry
-        w, local, total, result, stats = solve_round(w, local)
+        w, local, total, result, stats = solve_round(rounds + 1, w, local)
         return rounds + 1, w, local, total, result, add_counts(stats, before)
 
-    first = solve_round(w0, stage.local)
+    first = solve_round(1, w0, stage.local)
     carry = jax.tree.map(jnp.asarray, (1, *first))
     rounds, w, _, total, result, stats = jax.lax.while_loop(
         unfinished, next_round, carry

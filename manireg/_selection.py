@@ -215,7 +215,8 @@ def _lowest(w: Float[Array, "folds KC t"], problem: Problem, lam):
         stage = stage_of(problem, lam, gauge(problem), "projected", w)
         return objective(w, stage)[0]
 
-    return w[jnp.argmin(jax.lax.map(total, w))]
+    totals = jnp.nan_to_num(jax.lax.map(total, w), nan=jnp.inf)
+    return w[jnp.argmin(totals)]
 
 
 def _score(problem: Problem, inside, w) -> Float[Array, ""]:
