@@ -77,8 +77,7 @@ def make_problem(
       (linear in all directions).
     - `width`: support radius of a local polynomial in units of the spacing
       $(\mathrm{vol}(M)/K)^{1/m}$, on point clouds of the local spacing of the centres;
-      default 2.5 on curves, 2.2 above, 1.5 on `Ambient` sources and, with linear
-      polynomials, on point clouds.
+      default 2.5 on curves, 2.2 above, 1.5 on `Ambient` sources.
     - `graded`: for point clouds: let resolution and smoothness follow the data. The
       centres' spacing h grows like 1 + d/D with the distance d to the nearest input (D:
       the mean of that distance among the inputs), and lambda in proportion to
@@ -102,8 +101,7 @@ def make_problem(
         low, high = {1: (30, 100), 2: (50, 400)}.get(m, (60, 400))
         centres = int(np.clip(len(x), low, high))
     if width is None:
-        linear = degree == 1 and isinstance(sampled(source), PointCloud)
-        flat = 1.5 if linear or isinstance(source, Ambient) else 2.2
+        flat = 1.5 if isinstance(source, Ambient) else 2.2
         width = 2.5 if m == 1 else flat
     domain = discretise(source, centres, x, graded)
     nodes = centres_of(source, centres, x, graded)
