@@ -1,7 +1,6 @@
 """From start coefficients to a minimiser: on analytic targets one Newton solve (or the
 paper's penalty path), on point clouds a few, each on fixed patches."""
 
-import functools
 from typing import Literal
 
 import equinox as eqx
@@ -22,7 +21,6 @@ from .manifolds import PointCloud
 
 GAUGE = 0.1  # gamma vol(M) of the projected energy: holds Psi near N, costs 1e-4 of E
 AMBIENT_GAUGE = 10.0  # of the penalised one on ambient sources, in one stage
-ROUGH = 1e-3  # relative decrease to which each of several starts is followed
 FLOOR = 1e-14  # of mean |y|^2: a smaller decrease is rounding (perfect fits)
 ROUNDS = 12  # Newton solves on a point cloud, each on the patches of the one before
 ROUND_STEPS = 4  # trial steps of each: more are lost when the patches change
@@ -82,41 +80,6 @@ def minimise(
     else:
         w, total, result, stats = _newton_solve(newton, stage, w0, max_steps)
     return w, stage.gamma, total, result, stats
-
-
-def minimise_from(
-    problem: Problem,
-    lam,
-    starts: Float[Array, "starts KC t"],
-    method: Method,
-    newton: Newton,
-    max_steps: int,
-):
-    """The same from several starts: all roughly, then on from the lowest."""
-
-    def descend(w0, rtol):
-        to = eqx.tree_at(lambda n: n.rtol, newton, rtol)
-        return minimise(problem, lam, w0, method, to, max_steps)
-
-    if len(starts) == 1:
-        return descend(starts[0], newton.rtol)
-
-    # passes of one loop, so that Newton is compiled once
-    def next_pass(lowest, this):
-        start, last = this
-        w0 = jnp.where(last, lowest[0], start)
-        found = descend(w0, jnp.where(last, newton.rtol, rough))
-        w, _, total, *_ = found
-        lower = functools.partial(jnp.where, total < lowest[1])
-        return jax.tree.map(lower, (w, total), lowest), found
-
-    rough = jnp.maximum(newton.rtol, ROUGH)
-    last = jnp.arange(len(starts) + 1) == len(starts)
-    passes = jnp.concatenate([starts, starts[:1]]), last
-    _, found = jax.lax.scan(next_pass, (starts[0], jnp.inf), passes)
-    *before, end = (jax.tree.map(lambda a: a[i], found) for i in range(len(last)))
-    stats = functools.reduce(add_counts, [stats for *_, stats in before], end[-1])
-    return *end[:-1], stats
 
 
 def _newton_solve(newton: Newton, stage: Stage, w, max_steps: int):

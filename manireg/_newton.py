@@ -144,13 +144,11 @@ class Newton(optx.AbstractMinimiser):
             descent_state, decrease, model = jax.lax.cond(
                 downhill, lambda: exact, query_model
             )
+            near = decrease < self.near * jnp.abs(f_eval)
             stretch = jnp.where(downhill, 1.0, self._stretch(y, f_eval, state))
             rounding = 8 * jnp.finfo(f_eval.dtype).eps * jnp.abs(f_eval)
             tolerance = self.atol + self.rtol * jnp.abs(f_eval) + rounding
-            small = decrease <= tolerance
-            near = small | (decrease < self.near * jnp.abs(f_eval))
-            # a step of the model may be short and yet end far from the minimum
-            done = small & (last.near | (self.near == 0))
+            done = decrease <= tolerance
             return state.y_eval, _Accepted(
                 f_info, aux_eval, descent_state, stretch, decrease, model, near, done
             )

@@ -16,7 +16,7 @@ from ._hessian import exact, gauss_newton
 from ._jets import centres_near
 from ._linear_solvers import DirectSolvers, direct_solvers
 from ._local_polynomials import LocalPolynomials, basis_values, cover
-from ._minimise import Method, minimise_from, newton_minimiser, stage_of
+from ._minimise import Method, minimise, newton_minimiser, stage_of
 from ._objective import Energies, Stage, objective
 from ._problem import Problem
 from ._sources import Source
@@ -112,8 +112,8 @@ def solve(
       continuation is needed. `"penalty"` is the paper's: energy with the projector at
       $\Psi$, plus $\gamma \int |\Psi - \pi\Psi|^2$ with gamma raised in stages.
       Measured on curves on the sphere: same minimisers, a third of the Newton steps.
-    - `starts`: the free (thin plate) solutions at `lam * factor`, one a factor. Several
-      are followed to a relative decrease of 1e-3, the one of lowest objective to the end.
+    - `starts`: the free (thin plate) solutions at `lam * factor`, one a factor; the
+      lowest objective found is returned.
     - `warm`: coefficients of a map fitted on the same problem, as one more start.
     - `rtol`: relative decrease of the objective below which Newton stops.
     - `max_steps`: trial steps allowed.
@@ -148,6 +148,7 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     fixed = jax.lax.stop_gradient(eqx.filter(problem, eqx.is_array))
     fixed = eqx.combine(fixed, problem)
     frozen_lam = jax.lax.stop_gradient(lam)
+    newton = newton_minimiser(solvers, rtol)
     arrays, rest = eqx.partition((fixed, frozen_lam, warm), eqx.is_array)
 
     # In lockstep all lanes of a vmap would wait for the slowest, and take both branches of
@@ -156,9 +157,12 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     def lowest(arrays):
         problem, lam, warm = eqx.combine(arrays, rest)
         free = [free_solution(problem, factor * lam, solvers) for factor in starts]
-        candidates = jnp.stack(free + ([] if warm is None else [warm]))
-        newton = newton_minimiser(solvers, rtol)
-        return minimise_from(problem, lam, candidates, method, newton, max_steps)
+        candidates = jax.lax.map(
+            lambda w0: minimise(problem, lam, w0, method, newton, max_steps),
+            jnp.stack(free + ([] if warm is None else [warm])),
+        )
+        best = jnp.argmin(jnp.nan_to_num(candidates[2], nan=jnp.inf))
+        return jax.tree.map(lambda a: a[best], candidates)
 
     w, gamma, _, result, stats = lowest(arrays)
     stage = stage_of(problem, lam, gamma, method, jax.lax.stop_gradient(w))
