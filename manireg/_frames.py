@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .manifolds import AbstractManifold
+from .manifolds._lapack import eigh
 
 
 def tangent_frames(source: AbstractManifold, points) -> np.ndarray:
@@ -25,7 +26,7 @@ def frames_at(
     project = lambda p: jax.vmap(lambda v: source.tangent_projection(p, v))(axes)
     projectors = jax.vmap(project)(points).reshape(-1, s, s)
     symmetric = 0.5 * (projectors + jnp.swapaxes(projectors, 1, 2))
-    return jnp.linalg.eigh(symmetric)[1][:, :, s - source.dim :]
+    return eigh(symmetric)[1][:, :, s - source.dim :]
 
 
 def complete_frames(frames: Float[Array, "K s m"]) -> Float[Array, "K s s"]:

@@ -13,9 +13,7 @@ from ._problem import Problem
 from .manifolds import PointCloud
 from .manifolds._quadric_patch import QuadricPatch
 
-HOLD = (
-    1.1  # a patch is kept until another is nearer by this factor to the power renewals
-)
+HOLD = 1.1  # by the n-th renewal a patch stays until another is nearer by HOLD^n
 MOST_BEND = 0.5  # distance to a patch in units of its radius of curvature
 
 
