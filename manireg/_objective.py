@@ -59,19 +59,24 @@ def energy_residual(
 
 def at_quadrature(stage: Stage, f: Callable, *arrays: Float[Array, "e p ..."]):
     """`f(target, *arrays)` at every quadrature point."""
-    return _at_points(stage, f, stage.local and stage.local.at_quadrature, arrays)
+    return _at_all(stage, f, stage.local and stage.local.at_quadrature, arrays)
 
 
 def at_data(stage: Stage, f: Callable, *arrays: Float[Array, "e p ..."]):
     """`f(target, *arrays)` at every datum."""
-    return _at_points(stage, f, stage.local and stage.local.at_data, arrays)
+    return _at_all(stage, f, stage.local and stage.local.at_data, arrays)
 
 
-def _at_points(stage, f, targets, arrays):
+def _at_all(stage, f, targets, arrays):
+    return jax.vmap(functools.partial(at_points, stage, f))(targets, *arrays)
+
+
+def at_points(stage: Stage, f: Callable, targets, *arrays: Float[Array, "p ..."]):
+    """`f(target, *arrays)` at every point of an element. `targets`: a patch for each, or
+    None for the target itself."""
     if targets is None:
-        f = functools.partial(f, stage.problem.target)
-        return jax.vmap(jax.vmap(f))(*arrays)
-    return jax.vmap(jax.vmap(f))(targets, *arrays)
+        return jax.vmap(functools.partial(f, stage.problem.target))(*arrays)
+    return jax.vmap(f)(targets, *arrays)
 
 
 def data_weights(problem: Problem) -> Float[Array, "e p"]:
