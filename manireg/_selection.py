@@ -11,14 +11,15 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, PRNGKeyArray
 from tqdm.auto import tqdm
 
 from ._checks import check_lam
-from ._folds import GRID, evaluated, held_out_error, training_sets
+from ._folds import evaluated, held_out_error, training_sets
 from ._jets import values_at_data
+from ._lambda_grids import data_spacing, lambda_grid, lambda_of_wavelength
 from ._linear_solvers import direct_solvers
 from ._minimise import gauge, minimise, newton_minimiser, stage_of
 from ._objective import objective
 from ._problem import Problem, make_problem
-from ._solve import RegressionMap, free_solution, solve
-from ._sources import Source, sampled_dim
+from ._solve import STARTS, RegressionMap, free_solution, solve
+from ._sources import Source
 from ._sweep import sweep
 from .manifolds import AbstractManifold
 
@@ -50,28 +51,6 @@ class CrossValidation(eqx.Module):
         return jnp.argmin(jnp.abs(self.lams - self.lam))
 
 
-def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
-    r"""Scale-free grid, equal steps of log lambda: lambda = (l / 2 pi)^4 / vol(M) for
-    wavelengths l from the spacing of the data, (vol(M)/k)^{1/m}, to twice the size of M,
-    vol(M)^{1/m}.
-
-    A perturbation of wavelength l adds to loss and penalty alike at that lambda, whatever
-    the scale of the target. Below the spacing the data say nothing.
-    """
-    size = problem.volume ** (1 / sampled_dim(problem.source))
-    low = jnp.log(lambda_of_wavelength(problem, data_spacing(problem)))
-    high = jnp.log(lambda_of_wavelength(problem, 2 * size))
-    return jnp.exp(jnp.linspace(low, high, n))
-
-
-def data_spacing(problem: Problem):
-    return (problem.volume / len(problem.y)) ** (1 / sampled_dim(problem.source))
-
-
-def lambda_of_wavelength(problem: Problem, wavelength):
-    return (wavelength / (2 * np.pi)) ** 4 / problem.volume
-
-
 def cross_validate(
     source: Source,
     target: AbstractManifold,
@@ -89,6 +68,49 @@ def cross_validate(
     max_steps: int = 25,
     progress: bool = True,
 ) -> CrossValidation:
+    """Choose lambda by k-fold cross-validation and refit on all data: `make_problem`, then
+    `choose_lambda`.
+
+    **Arguments:**
+
+    - `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`: as in
+      `make_problem`.
+    - `lams`, `folds`, `key`, `linear_algebra`, `max_steps`, `progress`: as in
+      `choose_lambda`.
+    """
+    problem = make_problem(
+        source,
+        target,
+        x,
+        y,
+        weights=weights,
+        centres=centres,
+        degree=degree,
+        width=width,
+    )
+    return choose_lambda(
+        problem,
+        lams,
+        folds=folds,
+        key=key,
+        linear_algebra=linear_algebra,
+        max_steps=max_steps,
+        progress=progress,
+    )
+
+
+def choose_lambda(
+    problem: Problem,
+    lams: Sequence[float] | Float[Array, " lams"] | None = None,
+    *,
+    folds: int = 10,
+    key: PRNGKeyArray | None = None,
+    starts: Sequence[float] = STARTS,
+    linear_algebra: str = "auto",
+    max_steps: int = 25,
+    progress: bool = True,
+    throw: bool = True,
+) -> CrossValidation:
     """Choose lambda by k-fold cross-validation and refit on all data.
 
     Folds are 0/1 weights, so all fits share one compiled program, and several devices
@@ -102,24 +124,16 @@ def cross_validate(
 
     **Arguments:**
 
-    - `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`: as in
-      `make_problem`.
+    - `problem`: from `make_problem`.
     - `lams`: the grid, positive; default `lambda_grid`, extended (at most twice)
       where the best value sits on an edge.
     - `folds`: default 10, at most the number of data.
     - `key`: for the random folds, default `jax.random.key(0)`.
+    - `starts`, `throw`: of the last fit, as in `solve`; it is started from the best of
+      the folds' maps, too.
+    - `max_steps`: trial steps of each fit to a fold.
     - `progress`: show a progress bar.
     """
-    problem = make_problem(
-        source,
-        target,
-        x,
-        y,
-        weights=weights,
-        centres=centres,
-        degree=degree,
-        width=width,
-    )
     training = training_sets(len(problem.y), folds, key)
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
 
@@ -135,8 +149,14 @@ def cross_validate(
         grid = jnp.sort(jnp.asarray(lams, float).ravel())
     grid, paths, best = evaluated(grid, evaluate, widen=lams is None)
     scores, converged, w = paths
-    warm = _lowest(w[:, best], problem, grid[best])
-    model = solve(problem, grid[best], warm=warm, linear_algebra=linear_algebra)
+    model = solve(
+        problem,
+        grid[best],
+        starts=starts,
+        warm=_lowest(w[:, best], problem, grid[best]),
+        linear_algebra=linear_algebra,
+        throw=throw,
+    )
     return CrossValidation(grid[best], grid, scores, converged, model)
 
 

@@ -13,7 +13,7 @@ from .._jets import values_at_data
 from .._linear_solvers import DirectSolvers, direct_solvers
 from .._local_polynomials import LocalPolynomials
 from .._problem import Problem, make_problem
-from .._selection import lambda_grid
+from .._lambda_grids import lambda_grid
 from .._solve import evaluate, free_solution
 from .._sources import Source
 from ..manifolds import AbstractManifold
