@@ -77,6 +77,8 @@ def cross_validate(
       `make_problem`.
     - `lams`, `folds`, `key`, `linear_algebra`, `max_steps`, `progress`: as in
       `choose_lambda`.
+
+    **Raises** what they raise.
     """
     problem = make_problem(
         source,
@@ -133,6 +135,9 @@ def choose_lambda(
       the folds' maps, too.
     - `max_steps`: trial steps of each fit to a fold.
     - `progress`: show a progress bar.
+
+    **Raises** ValueError for fewer than 2 folds or more than there are data, and for
+    lambdas that are not positive.
     """
     training = training_sets(len(problem.y), folds, key)
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
