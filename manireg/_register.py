@@ -11,7 +11,7 @@ import trimesh
 from jaxtyping import ArrayLike, Float, Int, ScalarLike
 
 from ._checks import check_landmarks
-from ._lambda_grids import short_grid
+from ._lambda_grids import LONGEST, short_grid
 from ._leave_one_out import RTOL, cut_errors, leave_one_out
 from ._problem import Problem, make_problem
 from ._selection import CrossValidation, choose_lambda
@@ -160,7 +160,13 @@ def _cross_validated(
     if lams is None:
         lams = short_grid(problem, FOLDED_LAMBDAS)
     cv = choose_lambda(
-        problem, lams, folds=folds, starts=(), progress=progress, throw=False
+        problem,
+        lams,
+        folds=folds,
+        anchor=LONGEST,  # downwards, as in `leave_one_out`
+        starts=(),
+        progress=progress,
+        throw=False,
     )
     return cv, float(cv.score)
 

@@ -25,7 +25,7 @@ from .manifolds import AbstractManifold
 
 COARSE = 1e-3  # predicted relative decrease of the last Newton step of a fold's fit
 HOPELESS = 2.0  # times the best mean score
-ANCHOR = 1.5  # wavelength where paths start, in spacings of the data
+ANCHOR = 1.5  # in spacings of the data
 
 
 class CrossValidation(eqx.Module):
@@ -107,6 +107,7 @@ def choose_lambda(
     *,
     folds: int = 10,
     key: PRNGKeyArray | None = None,
+    anchor: float = ANCHOR,
     starts: Sequence[float] = STARTS,
     linear_algebra: str = "auto",
     max_steps: int = 25,
@@ -116,9 +117,8 @@ def choose_lambda(
     """Choose lambda by k-fold cross-validation and refit on all data.
 
     Folds are 0/1 weights, so all fits share one compiled program, and several devices
-    share the folds (see `sweep`). The lambdas are followed up and down from the one whose
-    wavelength is 1.5 spacings of the data, each fit started from its neighbours,
-    extrapolated in log lambda: measured on curves, a few Newton steps a fit, and minima
+    share the folds (see `sweep`). The lambdas are followed up and down from the one next
+    to `anchor`, each fit started from its neighbours, extrapolated in log lambda: measured on curves, a few Newton steps a fit, and minima
     no worse than from cold starts. Under a far too large lambda maps fold up and Newton's
     method struggles: either way of the default grid ends where the mean score is twice the
     best, and of a given one where, besides, it has not converged for some fold in
@@ -131,6 +131,7 @@ def choose_lambda(
       where the best value sits on an edge.
     - `folds`: default 10, at most the number of data.
     - `key`: for the random folds, default `jax.random.key(0)`.
+    - `anchor`: where that is, as a wavelength in spacings of the data (default 1.5).
     - `starts`, `throw`: of the last fit, as in `solve`; it is started from the best of
       the folds' maps, too.
     - `max_steps`: trial steps of each fit to a fold.
@@ -145,7 +146,7 @@ def choose_lambda(
     def evaluate(grid):
         with tqdm(total=len(grid), desc="lambdas", disable=not progress) as bar:
             shared = problem, solvers, max_steps
-            return _follow(grid, shared, training, bar, adapt=lams is None)
+            return _follow(grid, shared, training, bar, anchor, adapt=lams is None)
 
     if lams is None:
         grid = lambda_grid(problem)
@@ -165,13 +166,13 @@ def choose_lambda(
     return CrossValidation(grid[best], grid, scores, converged, model)
 
 
-def _follow(grid, shared, training, bar, adapt: bool):
+def _follow(grid, shared, training, bar, anchor: float, adapt: bool):
     """Scores and convergence, `(folds, lams)`; coefficients, `(folds, lams, KC, t)`.
     `adapt`: no further than to the hopeless."""
     problem, n = shared[0], len(grid)
-    middle = lambda_of_wavelength(problem, ANCHOR * data_spacing(problem))
-    anchor = int(jnp.argmin(jnp.abs(jnp.log(grid / middle))))
-    free = sweep(_start, training, (grid[anchor], *shared))
+    near = lambda_of_wavelength(problem, anchor * data_spacing(problem))
+    first = int(jnp.argmin(jnp.abs(jnp.log(grid / near))))
+    free = sweep(_start, training, (grid[first], *shared))
     scores = np.full((len(training), n), np.inf)
     converged = np.zeros((len(training), n), dtype=bool)
     w = np.zeros((len(training), n, *free.w.shape[1:]))
@@ -185,9 +186,9 @@ def _follow(grid, shared, training, bar, adapt: bool):
         bar.update()
         return place
 
-    at_anchor = fit(free, anchor)
-    for indices in (range(anchor + 1, n), range(anchor - 1, -1, -1)):
-        place = at_anchor
+    at_first = fit(free, first)
+    for indices in (range(first + 1, n), range(first - 1, -1, -1)):
+        place = at_first
         for i in indices:
             place = fit(place, i)
             means = scores.mean(axis=0)
