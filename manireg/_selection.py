@@ -118,11 +118,12 @@ def choose_lambda(
 
     Folds are 0/1 weights, so all fits share one compiled program, and several devices
     share the folds (see `sweep`). The lambdas are followed up and down from the one next
-    to `anchor`, each fit started from its neighbours, extrapolated in log lambda: measured on curves, a few Newton steps a fit, and minima
-    no worse than from cold starts. Under a far too large lambda maps fold up and Newton's
-    method struggles: either way of the default grid ends where the mean score is twice the
-    best, and of a given one where, besides, it has not converged for some fold in
-    `max_steps`. What lies beyond scores infinity.
+    to `anchor`, each fit started from its neighbours, extrapolated in log lambda: measured
+    on curves, a few Newton steps a fit, and minima no worse than from cold starts. Under a
+    far too large lambda maps fold up and Newton's method struggles: either way of the
+    default grid ends where the mean score is twice the best, and of a given one where,
+    besides, it has not converged for some fold in `max_steps`. What lies beyond scores
+    infinity.
 
     **Arguments:**
 
