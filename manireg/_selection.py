@@ -77,8 +77,6 @@ def cross_validate(
       `make_problem`.
     - `lams`, `folds`, `key`, `linear_algebra`, `max_steps`, `progress`: as in
       `choose_lambda`.
-
-    **Raises** what they raise.
     """
     problem = make_problem(
         source,
