@@ -17,7 +17,7 @@ from tqdm import tqdm
 DATA = ("ict", "makehuman")
 METHODS = (
     "affine", "rbf_r2logr", "rbf_r", "free_solution", "rkhs_warp", "manireg_ambient",
-    "manireg_folds", "manireg_intrinsic", "nricp_sumner", "nricp_amberg",
+    "manireg_intrinsic", "nricp_sumner", "nricp_amberg",
 )  # fmt: skip
 
 

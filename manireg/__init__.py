@@ -15,15 +15,14 @@ from ._energy import (
 )
 from ._fit import fit as fit
 from ._geodesic import Geodesic as Geodesic, geodesic as geodesic
-from ._lambda_grids import lambda_grid as lambda_grid
 from ._leave_one_out import leave_one_out as leave_one_out
 from ._objective import Energies as Energies
 from ._problem import Problem as Problem, make_problem as make_problem
 from ._register import Registration as Registration, register as register
 from ._selection import (
     CrossValidation as CrossValidation,
-    choose_lambda as choose_lambda,
     cross_validate as cross_validate,
+    lambda_grid as lambda_grid,
 )
 from ._solve import RegressionMap as RegressionMap, solve as solve
 from ._sources import Ambient as Ambient, Box as Box, Interval as Interval

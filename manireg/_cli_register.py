@@ -50,14 +50,6 @@ def register(
     centres: Annotated[
         list[int], typer.Option(min=20, help="Local polynomials; several: as above.")
     ] = [400],
-    folds: Annotated[
-        int | None,
-        typer.Option(
-            min=2,
-            help="Choose lambda by refits without each of so many parts of the "
-            "landmarks: slower and better than the default, which only estimates them.",
-        ),
-    ] = None,
 ) -> None:
     """Map one scanned surface onto another from a few landmarks.
 
@@ -70,14 +62,7 @@ def register(
         ours, theirs = _read_landmarks(landmarks)
         start = time.perf_counter()
         found = mr.register(
-            source,
-            target,
-            ours,
-            theirs,
-            lam,
-            geometry=geometry,
-            centres=centres,
-            folds=folds,
+            source, target, ours, theirs, lam, geometry=geometry, centres=centres
         )
         seconds = time.perf_counter() - start
         found.mesh().export(out)

@@ -15,15 +15,15 @@ from ._checks import check_lam
 from ._densities import project_flat
 from ._hessian import gauss_newton
 from ._jets import in_order, jet_values
-from ._lambda_grids import RATIO, short_grid
 from ._linear_solvers import DirectSolvers, direct_solvers
 from ._minimise import minimise, newton_minimiser, stage_of
 from ._objective import Stage, at_data, objective
 from ._problem import Problem
-from ._selection import CrossValidation
+from ._selection import CrossValidation, data_spacing, lambda_of_wavelength
 from ._solve import RegressionMap, free_solution
 
-VALUES = 5  # of the default grid: down to wavelengths of 0.8 spacings
+LONGEST = 2.7  # wavelength at the top of the default grid, in spacings of the data
+VALUES, RATIO = 5, 3.4  # of it: down to wavelengths of 0.8 spacings
 EXTENSIONS = 2  # at most, where the best value sits on an edge
 RTOL = 1e-4  # relative decrease at which the fits of the path stop
 
@@ -61,7 +61,7 @@ def leave_one_out(
         check_lam(lams, "lams")
         grid = np.sort(np.asarray(lams, float).ravel())[::-1]
     else:
-        grid = np.asarray(short_grid(problem, VALUES))[::-1]
+        grid = np.asarray(_grid(problem))[::-1]
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
     w = eqx.filter_jit(free_solution)(problem, jnp.asarray(grid[0]), solvers)
     fits: dict[float, tuple[RegressionMap, np.ndarray]] = {}
@@ -116,6 +116,11 @@ def _choice(fits: dict[float, tuple[RegressionMap, np.ndarray]]) -> float:
 def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
     """The largest tenth cut to the ninth decile."""
     return np.minimum(errors, np.quantile(errors, 0.9))
+
+
+def _grid(problem: Problem) -> Float[Array, " lams"]:
+    longest = lambda_of_wavelength(problem, LONGEST * data_spacing(problem))
+    return longest * RATIO ** -jnp.arange(VALUES)[::-1]
 
 
 @eqx.filter_jit

@@ -11,17 +11,15 @@ import trimesh
 from jaxtyping import ArrayLike, Float, Int, ScalarLike
 
 from ._checks import check_landmarks
-from ._lambda_grids import LONGEST, short_grid
 from ._leave_one_out import RTOL, cut_errors, leave_one_out
-from ._problem import Problem, make_problem
-from ._selection import CrossValidation, choose_lambda
+from ._problem import make_problem
+from ._selection import CrossValidation
 from ._solve import RegressionMap, evaluate, solve
 from ._sources import Ambient
 from .manifolds import PointCloud
 from .manifolds._meshes import as_mesh
 
 PAD = 8192  # targets are padded to multiples: similar ones share compiled programs
-FOLDED_LAMBDAS = 7  # tried with `folds`: the default grid of `leave_one_out`, extended
 
 Surface = trimesh.Trimesh | PointCloud | str | Path
 
@@ -62,7 +60,6 @@ def register(
     *,
     geometry: str | Sequence[str] = "ambient",
     centres: int | Sequence[int] = 400,
-    folds: int | None = None,
     progress: bool = True,
 ) -> Registration:
     """Learn the map from one surface to another that is smoothest in the sense of the
@@ -74,10 +71,7 @@ def register(
       `PointCloud`s.
     - `source_landmarks`, `target_landmarks`: l vertex numbers, or positions `(l, 3)` up
       to a hundredth of the size away from the surface; at least 5 pairs.
-    - `lam`: lambda, or None to choose it by cross-validation over the landmarks.
-    - `folds`: None (default) takes `leave_one_out`, with one fit a lambda; a number takes
-      `choose_lambda`, which fits to each of so many folds, too: on heads three times as
-      long with ten, for better lambdas.
+    - `lam`: lambda, or None to choose it by `leave_one_out` over the landmarks.
     - `geometry`: `"ambient"` (default) penalises bending in all directions of space,
       `"intrinsic"` the Eells energy of the surface itself, which lets it bend freely.
     - `centres`: about how many local polynomials; cost and detail grow with them. They
@@ -105,7 +99,7 @@ def register(
         raise ValueError("source_landmarks: all on one line; spread them out.")
     padded = onto.padded(-(-len(onto.points) // PAD) * PAD)
     choices = list(itertools.product(_several(geometry), _several(centres)))
-    found: list[tuple[float, RegressionMap, CrossValidation | None]] = []
+    found: list[tuple[RegressionMap, CrossValidation | None]] = []
     for of, count in choices:
         problem = make_problem(
             _with_geometry(cloud, of),
@@ -125,12 +119,12 @@ def register(
             )
         if lam is None or len(choices) > 1:
             lams = None if lam is None else jnp.atleast_1d(lam)
-            cv, error = _cross_validated(problem, lams, folds, progress)
-            found.append((error, cv.model, cv))
+            cv = leave_one_out(problem, lams, progress=progress)
+            found.append((cv.model, cv))
         else:
             model = solve(problem, lam, starts=(1.0,), rtol=RTOL, throw=False)
-            found.append((0.0, model, None))
-    _, model, cv = min(found, key=lambda fit: fit[0])
+            found.append((model, None))
+    model, cv = min(found, key=lambda fit: _predicted_error(fit[1]))
     image = onto.project(
         evaluate(model.basis, model.coefficients, jnp.asarray(start))[0]
     )
@@ -150,25 +144,11 @@ def _with_geometry(cloud: PointCloud, geometry: str):
     return Ambient(cloud) if geometry == "ambient" else cloud
 
 
-def _cross_validated(
-    problem: Problem, lams, folds: int | None, progress: bool
-) -> tuple[CrossValidation, float]:
-    """And the error predicted for a left-out landmark."""
-    if folds is None:
-        cv = leave_one_out(problem, lams, progress=progress)
-        return cv, float(cut_errors(np.asarray(cv.scores[:, cv.chosen])).mean())
-    if lams is None:
-        lams = short_grid(problem, FOLDED_LAMBDAS)
-    cv = choose_lambda(
-        problem,
-        lams,
-        folds=folds,
-        anchor=LONGEST,  # downwards, as in `leave_one_out`
-        starts=(),
-        progress=progress,
-        throw=False,
-    )
-    return cv, float(cv.score)
+def _predicted_error(cv: CrossValidation | None) -> float:
+    """Of left-out landmarks; with nothing to choose, of no interest."""
+    if cv is None:
+        return 0.0
+    return float(cut_errors(np.asarray(cv.scores[:, cv.chosen])).mean())
 
 
 def _surface(surface: Surface):

@@ -11,21 +11,20 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, PRNGKeyArray
 from tqdm.auto import tqdm
 
 from ._checks import check_lam
-from ._folds import evaluated, held_out_error, training_sets
+from ._folds import GRID, evaluated, held_out_error, training_sets
 from ._jets import values_at_data
-from ._lambda_grids import data_spacing, lambda_grid, lambda_of_wavelength
 from ._linear_solvers import direct_solvers
 from ._minimise import gauge, minimise, newton_minimiser, stage_of
 from ._objective import objective
 from ._problem import Problem, make_problem
-from ._solve import STARTS, RegressionMap, free_solution, solve
-from ._sources import Source
+from ._solve import RegressionMap, free_solution, solve
+from ._sources import Source, sampled_dim
 from ._sweep import sweep
 from .manifolds import AbstractManifold
 
 COARSE = 1e-3  # predicted relative decrease of the last Newton step of a fold's fit
 HOPELESS = 2.0  # times the best mean score
-ANCHOR = 1.5  # in spacings of the data
+ANCHOR = 1.5  # wavelength where paths start, in spacings of the data
 
 
 class CrossValidation(eqx.Module):
@@ -51,6 +50,28 @@ class CrossValidation(eqx.Module):
         return jnp.argmin(jnp.abs(self.lams - self.lam))
 
 
+def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
+    r"""Scale-free grid, equal steps of log lambda: lambda = (l / 2 pi)^4 / vol(M) for
+    wavelengths l from the spacing of the data, (vol(M)/k)^{1/m}, to twice the size of M,
+    vol(M)^{1/m}.
+
+    A perturbation of wavelength l adds to loss and penalty alike at that lambda, whatever
+    the scale of the target. Below the spacing the data say nothing.
+    """
+    size = problem.volume ** (1 / sampled_dim(problem.source))
+    low = jnp.log(lambda_of_wavelength(problem, data_spacing(problem)))
+    high = jnp.log(lambda_of_wavelength(problem, 2 * size))
+    return jnp.exp(jnp.linspace(low, high, n))
+
+
+def data_spacing(problem: Problem):
+    return (problem.volume / len(problem.y)) ** (1 / sampled_dim(problem.source))
+
+
+def lambda_of_wavelength(problem: Problem, wavelength):
+    return (wavelength / (2 * np.pi)) ** 4 / problem.volume
+
+
 def cross_validate(
     source: Source,
     target: AbstractManifold,
@@ -68,15 +89,26 @@ def cross_validate(
     max_steps: int = 25,
     progress: bool = True,
 ) -> CrossValidation:
-    """Choose lambda by k-fold cross-validation and refit on all data: `make_problem`, then
-    `choose_lambda`.
+    """Choose lambda by k-fold cross-validation and refit on all data.
+
+    Folds are 0/1 weights, so all fits share one compiled program, and several devices
+    share the folds (see `sweep`). The lambdas are followed up and down from the one whose
+    wavelength is 1.5 spacings of the data, each fit started from its neighbours,
+    extrapolated in log lambda: measured on curves, a few Newton steps a fit, and minima
+    no worse than from cold starts. Under a far too large lambda maps fold up and Newton's
+    method struggles: either way of the default grid ends where the mean score is twice the
+    best, and of a given one where, besides, it has not converged for some fold in
+    `max_steps`. What lies beyond scores infinity.
 
     **Arguments:**
 
     - `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`: as in
       `make_problem`.
-    - `lams`, `folds`, `key`, `linear_algebra`, `max_steps`, `progress`: as in
-      `choose_lambda`.
+    - `lams`: the grid, positive; default `lambda_grid`, extended (at most twice)
+      where the best value sits on an edge.
+    - `folds`: default 10, at most the number of data.
+    - `key`: for the random folds, default `jax.random.key(0)`.
+    - `progress`: show a progress bar.
     """
     problem = make_problem(
         source,
@@ -88,64 +120,13 @@ def cross_validate(
         degree=degree,
         width=width,
     )
-    return choose_lambda(
-        problem,
-        lams,
-        folds=folds,
-        key=key,
-        linear_algebra=linear_algebra,
-        max_steps=max_steps,
-        progress=progress,
-    )
-
-
-def choose_lambda(
-    problem: Problem,
-    lams: Sequence[float] | Float[Array, " lams"] | None = None,
-    *,
-    folds: int = 10,
-    key: PRNGKeyArray | None = None,
-    anchor: float = ANCHOR,
-    starts: Sequence[float] = STARTS,
-    linear_algebra: str = "auto",
-    max_steps: int = 25,
-    progress: bool = True,
-    throw: bool = True,
-) -> CrossValidation:
-    """Choose lambda by k-fold cross-validation and refit on all data.
-
-    Folds are 0/1 weights, so all fits share one compiled program, and several devices
-    share the folds (see `sweep`). The lambdas are followed up and down from the one next
-    to `anchor`, each fit started from its neighbours, extrapolated in log lambda: measured
-    on curves, a few Newton steps a fit, and minima no worse than from cold starts. Under a
-    far too large lambda maps fold up and Newton's method struggles: either way of the
-    default grid ends where the mean score is twice the best, and of a given one where,
-    besides, it has not converged for some fold in `max_steps`. What lies beyond scores
-    infinity.
-
-    **Arguments:**
-
-    - `problem`: from `make_problem`.
-    - `lams`: the grid, positive; default `lambda_grid`, extended (at most twice)
-      where the best value sits on an edge.
-    - `folds`: default 10, at most the number of data.
-    - `key`: for the random folds, default `jax.random.key(0)`.
-    - `anchor`: where that is, as a wavelength in spacings of the data (default 1.5).
-    - `starts`, `throw`: of the last fit, as in `solve`; it is started from the best of
-      the folds' maps, too.
-    - `max_steps`: trial steps of each fit to a fold.
-    - `progress`: show a progress bar.
-
-    **Raises** ValueError for fewer than 2 folds or more than there are data, and for
-    lambdas that are not positive.
-    """
     training = training_sets(len(problem.y), folds, key)
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
 
     def evaluate(grid):
         with tqdm(total=len(grid), desc="lambdas", disable=not progress) as bar:
             shared = problem, solvers, max_steps
-            return _follow(grid, shared, training, bar, anchor, adapt=lams is None)
+            return _follow(grid, shared, training, bar, adapt=lams is None)
 
     if lams is None:
         grid = lambda_grid(problem)
@@ -154,24 +135,18 @@ def choose_lambda(
         grid = jnp.sort(jnp.asarray(lams, float).ravel())
     grid, paths, best = evaluated(grid, evaluate, widen=lams is None)
     scores, converged, w = paths
-    model = solve(
-        problem,
-        grid[best],
-        starts=starts,
-        warm=_lowest(w[:, best], problem, grid[best]),
-        linear_algebra=linear_algebra,
-        throw=throw,
-    )
+    warm = _lowest(w[:, best], problem, grid[best])
+    model = solve(problem, grid[best], warm=warm, linear_algebra=linear_algebra)
     return CrossValidation(grid[best], grid, scores, converged, model)
 
 
-def _follow(grid, shared, training, bar, anchor: float, adapt: bool):
+def _follow(grid, shared, training, bar, adapt: bool):
     """Scores and convergence, `(folds, lams)`; coefficients, `(folds, lams, KC, t)`.
     `adapt`: no further than to the hopeless."""
     problem, n = shared[0], len(grid)
-    near = lambda_of_wavelength(problem, anchor * data_spacing(problem))
-    first = int(jnp.argmin(jnp.abs(jnp.log(grid / near))))
-    free = sweep(_start, training, (grid[first], *shared))
+    middle = lambda_of_wavelength(problem, ANCHOR * data_spacing(problem))
+    anchor = int(jnp.argmin(jnp.abs(jnp.log(grid / middle))))
+    free = sweep(_start, training, (grid[anchor], *shared))
     scores = np.full((len(training), n), np.inf)
     converged = np.zeros((len(training), n), dtype=bool)
     w = np.zeros((len(training), n, *free.w.shape[1:]))
@@ -185,9 +160,9 @@ def _follow(grid, shared, training, bar, anchor: float, adapt: bool):
         bar.update()
         return place
 
-    at_first = fit(free, first)
-    for indices in (range(first + 1, n), range(first - 1, -1, -1)):
-        place = at_first
+    at_anchor = fit(free, anchor)
+    for indices in (range(anchor + 1, n), range(anchor - 1, -1, -1)):
+        place = at_anchor
         for i in indices:
             place = fit(place, i)
             means = scores.mean(axis=0)

@@ -7,17 +7,14 @@ import manireg as mr
 from manireg.datasets import HeadPair as Task
 
 
-def register(
-    task: Task, geometry: str, folds: int | None = None
-) -> tuple[np.ndarray, float]:
-    """Positions, and the lambda that cross-validation over the landmarks chose."""
+def register(task: Task, geometry: str) -> tuple[np.ndarray, float]:
+    """Positions, and the lambda that leave-one-out over the landmarks chose."""
     found = mr.register(
         task.source,
         task.target,
         task.source_landmarks,
         task.target_landmarks,
         geometry=geometry,
-        folds=folds,
     )
     assert found.cv is not None
     return found.vertices, float(found.cv.lam)
@@ -96,7 +93,6 @@ METHODS = {
     "free_solution": free_solution,
     "rkhs_warp": rkhs_warp,
     "manireg_ambient": lambda task: register(task, "ambient"),
-    "manireg_folds": lambda task: register(task, "ambient", folds=10),
     "manireg_intrinsic": lambda task: register(task, "intrinsic"),
     "nricp_sumner": lambda task: nricp(task, "sumner"),
     "nricp_amberg": lambda task: nricp(task, "amberg"),

@@ -16,7 +16,6 @@ NAMES = {
     "nricp_amberg": "trimesh nricp_amberg",
     "manireg_intrinsic": "**manireg, intrinsic Eells**",
     "manireg_ambient": "**manireg, ambient Eells**",
-    "manireg_folds": "**manireg, ambient Eells, lambda by ten folds**",
 }
 HEADS = {"ict": "ICT", "makehuman": "MakeHuman"}
 BASE = "rbf_r"

@@ -10,10 +10,10 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, ScalarLike
 from .._checks import check_lam
 from .._folds import evaluated, held_out_error, training_sets
 from .._jets import values_at_data
-from .._lambda_grids import lambda_grid
 from .._linear_solvers import DirectSolvers, direct_solvers
 from .._local_polynomials import LocalPolynomials
 from .._problem import Problem, make_problem
+from .._selection import lambda_grid
 from .._solve import evaluate, free_solution
 from .._sources import Source
 from ..manifolds import AbstractManifold
