@@ -16,8 +16,8 @@ from tqdm import tqdm
 
 DATA = ("ict", "makehuman")
 METHODS = (
-    "affine", "rbf_r2logr", "rbf_r", "free_solution", "rkhs_warp", "manireg_ambient",
-    "manireg_intrinsic", "nricp_sumner", "nricp_amberg",
+    "affine", "rbf_r2logr", "rbf_r", "free_solution", "rkhs_warp", "nricp_sumner",
+    "nricp_amberg", "manireg_tension", "manireg_ambient", "manireg_intrinsic",
 )  # fmt: skip
 
 

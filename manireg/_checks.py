@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from ._sources import Box, Interval, Source, sampled
+from ._sources import Ambient, Box, Interval, Source, sampled
 from .manifolds import AbstractManifold, PointCloud
 
 ON_MANIFOLD = 1e-6  # allowed distance of data to a manifold, relative to their size
@@ -104,6 +104,16 @@ def check_landmarks(
             f"than 1 % of its size ({size:.3g}). Wrong units or the wrong mesh?"
         )
     return landed
+
+
+def check_tension(tension: float, source: Source):
+    if not (np.isfinite(tension) and tension >= 0):
+        raise ValueError(f"tension: must be finite and at least 0, found {tension}.")
+    if tension and not isinstance(source, Ambient):
+        raise ValueError(
+            f"tension: only for `Ambient` sources, found {type(source).__name__}. Leave "
+            "it out, or take Ambient(source)."
+        )
 
 
 def check_lam(lam, name="lam"):

@@ -50,6 +50,10 @@ def register(
     centres: Annotated[
         list[int], typer.Option(min=20, help="Local polynomials; several: as above.")
     ] = [400],
+    tension: Annotated[
+        float,
+        typer.Option(min=0, help="Of the ambient energy; 0: it may overshoot."),
+    ] = 1.0,
 ) -> None:
     """Map one scanned surface onto another from a few landmarks.
 
@@ -62,7 +66,14 @@ def register(
         ours, theirs = _read_landmarks(landmarks)
         start = time.perf_counter()
         found = mr.register(
-            source, target, ours, theirs, lam, geometry=geometry, centres=centres
+            source,
+            target,
+            ours,
+            theirs,
+            lam,
+            geometry=geometry,
+            centres=centres,
+            tension=tension,
         )
         seconds = time.perf_counter() - start
         found.mesh().export(out)

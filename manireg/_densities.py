@@ -51,6 +51,17 @@ def penalised_residual(
     return _multiplicities(m) * _to_tangent(target, jet[0], jet[1 + m :])
 
 
+def tension_residual(
+    target: AbstractManifold,
+    jet: Float[Array, "J t"],
+    strength: Float[Array, ""],
+    derivative: Float[Array, "m t"],
+) -> Float[Array, "m t"]:
+    r"""$|r|^2 = \tau |P(\pi(\Psi)) (D\Psi - A)|^2 / h^2$."""
+    first = jet[1 : 1 + len(derivative)]
+    return strength * _to_tangent(target, jet[0], first - derivative)
+
+
 def projected_residual(
     target: AbstractManifold, jet: Float[Array, "J t"], m: int
 ) -> Float[Array, "r t"]:

@@ -33,12 +33,12 @@ def farthest_indices(
     return chosen
 
 
-def graded_spacing(points: np.ndarray, data: np.ndarray) -> np.ndarray:
-    """Relative spacing of a sampling that is dense near data: 1 + d/D, d the distance to
-    the nearest datum, D the mean distance of a datum to its own nearest."""
+def data_spacings(points: np.ndarray, data: np.ndarray) -> np.ndarray:
+    """Spacing of the data around each point: D + d, d the distance to the nearest datum,
+    D the mean distance of a datum to its own nearest."""
     data = np.unique(np.asarray(data), axis=0)
     apart = np.mean(KDTree(data).query(data, k=2)[0][:, 1])
-    return 1 + KDTree(data).query(points)[0] / apart
+    return apart + KDTree(data).query(points)[0]
 
 
 def local_spacings(points: np.ndarray, m: int) -> np.ndarray:

@@ -23,6 +23,7 @@ from ._objective import (
     at_points,
     data_weights,
     energy_residual,
+    strengths,
 )
 from ._problem import Problem
 from ._sparse import SparseSymmetric, declare_symmetric
@@ -86,8 +87,8 @@ def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
     """The loss contributes 2 Dpi^T Dpi: exact for a perfect fit, and where N is positively
     curved never below the true Hessian."""
 
-    def residuals(target, jet):
-        energy = jnp.sqrt(stage.lam) * energy_residual(stage, target, jet)
+    def residuals(target, jet, *strength):
+        energy = jnp.sqrt(stage.lam) * energy_residual(stage, target, jet, *strength)
         off = jnp.sqrt(stage.gamma) * off_manifold_residual(target, jet[0])
         return jnp.concatenate([energy.ravel(), off])
 
@@ -95,8 +96,8 @@ def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
         return project_flat(target, jet[0])
 
     def gram(f, rows):
-        def of_element(targets, jets):
-            values = lambda jets: at_points(stage, f, targets, jets)
+        def of_element(targets, jets, *strength):
+            values = lambda jets: at_points(stage, f, targets, jets, *strength)
             # a loop over the residuals: einsum makes a small product of every point's
             columns = jnp.moveaxis(_derivatives(values, jets, rows), 2, 0)
             squares = [column[:, None] * column for column in columns]
@@ -107,7 +108,10 @@ def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
     problem, rows, local = stage.problem, _rows(stage), stage.local
     jets = [jet_values(j, w) for j in (problem.energy_jets, problem.data_jets)]
     energy = _each_element(
-        gram(residuals, rows), local and local.at_quadrature, jets[0]
+        gram(residuals, rows),
+        local and local.at_quadrature,
+        jets[0],
+        *strengths(problem),
     )
     data = _each_element(gram(landed, VALUE), local and local.at_data, jets[1])
     return assembled(problem, _weighted(problem, energy, data), rows)
@@ -119,9 +123,9 @@ def exact(
     """May be indefinite, away from a minimum. `model`: of `gauss_newton`, at a map near
     by; iterative solvers need it."""
 
-    def density(target, jet):
+    def density(target, jet, *strength):
         off = off_manifold_residual(target, jet[0])
-        energy = energy_residual(stage, target, jet)
+        energy = energy_residual(stage, target, jet, *strength)
         return stage.lam * jnp.sum(energy**2) + stage.gamma * jnp.sum(off**2)
 
     def loss(target, jet, y):
@@ -139,7 +143,10 @@ def exact(
     jets = [jet_values(j, w) for j in (problem.energy_jets, problem.data_jets)]
     y = problem.y[problem.data_jets.index]
     energy = _each_element(
-        hessian(density, rows), local and local.at_quadrature, jets[0]
+        hessian(density, rows),
+        local and local.at_quadrature,
+        jets[0],
+        *strengths(problem),
     )
     data = _each_element(hessian(loss, VALUE), local and local.at_data, jets[1], y)
     if model is not None:
@@ -171,10 +178,12 @@ def _derivatives(f, jets: Float[Array, "p J t"], rows) -> Float[Array, "jt p ...
 
 
 def _rows(stage: Stage) -> np.ndarray:
-    """Of a jet, those the energy sees: no first derivatives in the penalised one."""
+    """Of a jet, those the energy sees: no first derivatives in the penalised one, unless
+    there is tension."""
     m = stage.problem.basis.dim
     rows = np.arange(stage.problem.energy_jets.matrices.shape[2])
-    return rows if stage.projected else np.delete(rows, np.arange(1, 1 + m))
+    first = stage.projected or stage.problem.tension is not None
+    return rows if first else np.delete(rows, np.arange(1, 1 + m))
 
 
 def _weighted(problem: Problem, energy, data) -> PointHessians:

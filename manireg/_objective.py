@@ -20,6 +20,7 @@ from ._densities import (
     off_manifold_residual,
     penalised_residual,
     projected_residual,
+    tension_residual,
 )
 from ._jets import jet_values
 from ._local_target import LocalTarget
@@ -45,16 +46,30 @@ class Energies(eqx.Module):
     loss: Float[Array, ""]
     """(Weighted) mean squared geodesic error on the data."""
     eells: Float[Array, ""]
-    """S, the Eells energy."""
+    """S, the Eells energy (with the tension's, if there is one)."""
     off_manifold: Float[Array, ""]
     """Largest distance of Psi to N, before the final projection."""
 
 
 def energy_residual(
-    stage: Stage, target: AbstractManifold, jet: Float[Array, "J t"]
+    stage: Stage,
+    target: AbstractManifold,
+    jet: Float[Array, "J t"],
+    strength: Float[Array, ""] | None = None,
 ) -> Float[Array, "r t"]:
+    """`strength`: of the tension, if there is one (see `strengths`)."""
     residual = projected_residual if stage.projected else penalised_residual
-    return residual(target, jet, stage.problem.basis.dim)
+    bending = residual(target, jet, stage.problem.basis.dim)
+    tension = stage.problem.tension
+    if tension is None or strength is None:
+        return bending
+    stretching = tension_residual(target, jet, strength, tension.derivative)
+    return jnp.concatenate([bending, stretching])
+
+
+def strengths(problem: Problem) -> tuple[Float[Array, "e p"], ...]:
+    """What `energy_residual` takes beside the jets, at every quadrature point."""
+    return () if problem.tension is None else (problem.tension.strength,)
 
 
 def at_quadrature(stage: Stage, f: Callable, *arrays: Float[Array, "e p ..."]):
@@ -90,7 +105,8 @@ def objective(
 ) -> tuple[Float[Array, ""], Energies]:
     problem = stage.problem
     jets = jet_values(problem.energy_jets, w)
-    residuals = at_quadrature(stage, functools.partial(energy_residual, stage), jets)
+    residual = functools.partial(energy_residual, stage)
+    residuals = at_quadrature(stage, residual, jets, *strengths(problem))
     eells = jnp.sum(problem.energy_weights * jnp.sum(residuals**2, axis=(2, 3)))
 
     displacement = at_quadrature(stage, off_manifold_residual, jets[:, :, 0])

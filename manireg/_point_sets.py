@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from scipy.stats import qmc
 
 from ._charts import Chart
-from ._farthest_points import farthest_indices, farthest_points, graded_spacing
+from ._farthest_points import data_spacings, farthest_indices, farthest_points
 from ._frames import tangent_frames
 from ._sources import Source
 from .manifolds import AbstractManifold, PointCloud, Sphere
@@ -93,7 +93,7 @@ def of_cloud(source: PointCloud, n: int, around, graded: bool) -> Sample:
     if len(first) > n:
         first = []
     if graded:
-        spacing = graded_spacing(cloud, np.asarray(around))
+        spacing = data_spacings(cloud, np.asarray(around))
     index = farthest_indices(cloud, min(n, len(cloud)), first, spacing)
     nearest = KDTree(cloud[index]).query(cloud)[1]
     areas = np.asarray(source.areas)

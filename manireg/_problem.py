@@ -5,13 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from ._checks import check_data, check_x64
+from ._checks import check_data, check_tension, check_x64
 from ._domain import Domain, centres_of, discretise
 from ._farthest_points import local_spacings
 from ._jets import Jets, bucket_centres, jets_of, value_jets
 from ._local_polynomials import LocalPolynomials, local_polynomials
 from ._sources import Ambient, Source, sampled, sampled_dim
 from ._sparse import SparsityPattern, sparsity
+from ._tension import Tension, tension_of
 from .manifolds import AbstractManifold, PointCloud
 
 
@@ -40,6 +41,7 @@ class Problem(eqx.Module):
     energy_places: tuple[Int[Array, "_ _"], ...]
     """For each bucket of elements, where its pairs of centres are in the pattern."""
     data_places: tuple[Int[Array, "_ _"], ...]
+    tension: Tension | None
 
     @property
     def volume(self) -> Float[Array, ""]:
@@ -57,6 +59,7 @@ def make_problem(
     degree: int | None = None,
     width: float | None = None,
     graded: bool = False,
+    tension: float = 0.0,
 ) -> Problem:
     r"""Discretise the regression of y on x.
 
@@ -83,11 +86,20 @@ def make_problem(
       the mean of that distance among the inputs), and lambda in proportion to
       $h^{4-m}$, so that bending within one spacing costs the same everywhere; its
       mean stays `lam`. Energies are then integrals with that weight.
+    - `tension`: for `Ambient` sources: $\tau$ of the energy density
+      $|P D^2\Psi|^2 + \tau |P (D\Psi - A)|^2 / h^2$ with A the derivative of the affine
+      map that fits the data best and $h = D + d$ the spacing of the data (as above): a
+      spline in tension (Schweikert 1966; Franke 1985 in several dimensions), which does
+      not overshoot between data as one without does. At 1, stretching and bending over
+      one spacing cost the same. Default 0, the Eells energy alone. A and h stay those of
+      these data if `y` or `weights` are replaced.
 
     **Raises** ValueError for float32 mode, wrong shapes, NaN, points off the source or
-    the target, too few or repeated pairs.
+    the target, too few or repeated pairs, tension that is negative or on a source that is
+    not `Ambient`.
     """
     check_x64()
+    check_tension(tension, source)
     x, y, weights = check_data(source, target, x, y, weights)
     m = sampled_dim(source)
     if degree is None:
@@ -110,10 +122,12 @@ def make_problem(
     else:
         spacing = (jnp.sum(domain.weights) / len(nodes.points)) ** (1 / m)
     basis = local_polynomials(nodes, width * spacing, degree)
-    return assemble_problem(source, target, basis, domain, x, y, weights)
+    return assemble_problem(source, target, basis, domain, x, y, weights, tension)
 
 
-def assemble_problem(source, target, basis, domain: Domain, x, y, weights) -> Problem:
+def assemble_problem(
+    source, target, basis, domain: Domain, x, y, weights, tension: float = 0.0
+) -> Problem:
     """The same from a basis and a quadrature of your own; inputs are not checked."""
     energy_jets = jets_of(basis, domain.points, domain.frames, domain.second_forms)
     free_jets = energy_jets
@@ -122,6 +136,7 @@ def assemble_problem(source, target, basis, domain: Domain, x, y, weights) -> Pr
         free_jets = jets_of(basis, domain.points, domain.frames, flat)
     data_jets = value_jets(basis, x, energy_jets)
     pattern, energy_places, data_places = pattern_of(basis, energy_jets, data_jets)
+    stretched = energy_jets, domain.points, x, y, weights
     return Problem(
         source=source,
         target=target,
@@ -136,6 +151,7 @@ def assemble_problem(source, target, basis, domain: Domain, x, y, weights) -> Pr
         pattern=pattern,
         energy_places=energy_places,
         data_places=data_places,
+        tension=tension_of(tension, *stretched) if tension else None,
     )
 
 

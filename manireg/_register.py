@@ -60,6 +60,7 @@ def register(
     *,
     geometry: str | Sequence[str] = "ambient",
     centres: int | Sequence[int] = 400,
+    tension: float = 1.0,
     progress: bool = True,
 ) -> Registration:
     """Learn the map from one surface to another that is smoothest in the sense of the
@@ -77,14 +78,16 @@ def register(
     - `centres`: about how many local polynomials; cost and detail grow with them. They
       and the smoothness follow the landmarks (`graded` in `make_problem`), so lambda and
       `.model.energies` are means with that weight.
+    - `tension`: of the ambient energy, as in `make_problem`. 0 is the Eells energy alone,
+      which overshoots a little where a surface has no landmark.
 
     Several geometries or numbers of centres, `geometry=("ambient", "intrinsic")`,
     `centres=(200, 400)`, are tried in all combinations, and the one that predicts left-out
     landmarks best is kept.
 
-    No alignment is needed before: affine maps cost nothing at the start. **Raises**
-    ValueError for landmarks that are too few, off the surface, NaN or on one line, and
-    for what `PointCloud` rejects.
+    No alignment is needed before: the affine map of the landmarks costs nothing.
+    **Raises** ValueError for landmarks that are too few, off the surface, NaN or on one
+    line, and for what `PointCloud` rejects.
     """
     cloud, start, faces = _surface(source)
     onto, end, _ = _surface(target)
@@ -109,6 +112,7 @@ def register(
             centres=count,
             degree=1,
             graded=True,
+            tension=tension if of == "ambient" else 0.0,
         )
         nothing = jnp.zeros((problem.pattern.size, 3))
         if not evaluate(problem.basis, nothing, jnp.asarray(start))[1]:

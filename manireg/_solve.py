@@ -182,10 +182,18 @@ def free_solution(
     stage = Stage(free, lam, 0.0, False)
     gradient = jax.grad(lambda w: objective(w, stage)[0])(w)
     # every coordinate has the same matrix
-    coordinate = lambda s: (s.problem.target, s.problem.y)
-    one = eqx.tree_at(coordinate, stage, (Euclidean(1), problem.y[:, :1]))
+    one = eqx.tree_at(lambda s: s.problem, stage, _first_coordinate(free))
     factor = solvers.positive.init(gauss_newton(w[:, :1], one), {})
     return -solvers.positive.compute(factor, gradient[:, None], {})[0][:, 0]
+
+
+def _first_coordinate(problem: Problem) -> Problem:
+    where = lambda p: (p.target, p.y)
+    one = eqx.tree_at(where, problem, (Euclidean(1), problem.y[:, :1]))
+    if problem.tension is None:
+        return one
+    derivative = problem.tension.derivative[:, :1]
+    return eqx.tree_at(lambda p: p.tension.derivative, one, derivative)
 
 
 def free_problem(problem: Problem) -> Problem:

@@ -7,8 +7,8 @@ from test_point_clouds import sphere_cloud
 import manireg as mr
 from manireg._domain import centres_of, discretise
 from manireg._farthest_points import (
+    data_spacings,
     farthest_indices,
-    graded_spacing,
     local_spacings,
 )
 
@@ -35,10 +35,10 @@ def test_local_spacing_of_a_square_grid():
     assert np.allclose(local_spacings(0.1 * points, 2)[inside], 0.1, rtol=0.15)
 
 
-def test_graded_spacing():
+def test_spacings_of_data():
     data = np.array([[0.0, 0, 0], [2.0, 0, 0], [2.0, 0, 0]])
     points = np.array([[0.0, 0, 0], [0.0, 6, 0]])
-    assert np.allclose(graded_spacing(points, data), [1, 4])
+    assert np.allclose(data_spacings(points, data), [2, 8])
 
 
 def test_graded_domain_is_dense_near_data():

@@ -7,7 +7,7 @@ import manireg as mr
 from manireg.datasets import HeadPair as Task
 
 
-def register(task: Task, geometry: str) -> tuple[np.ndarray, float]:
+def register(task: Task, geometry: str, **options) -> tuple[np.ndarray, float]:
     """Positions, and the lambda that leave-one-out over the landmarks chose."""
     found = mr.register(
         task.source,
@@ -15,6 +15,7 @@ def register(task: Task, geometry: str) -> tuple[np.ndarray, float]:
         task.source_landmarks,
         task.target_landmarks,
         geometry=geometry,
+        **options,
     )
     assert found.cv is not None
     return found.vertices, float(found.cv.lam)
@@ -92,7 +93,8 @@ METHODS = {
     "rbf_r": lambda task: volume_spline(task, "linear"),
     "free_solution": free_solution,
     "rkhs_warp": rkhs_warp,
-    "manireg_ambient": lambda task: register(task, "ambient"),
+    "manireg_tension": lambda task: register(task, "ambient"),
+    "manireg_ambient": lambda task: register(task, "ambient", tension=0.0),
     "manireg_intrinsic": lambda task: register(task, "intrinsic"),
     "nricp_sumner": lambda task: nricp(task, "sumner"),
     "nricp_amberg": lambda task: nricp(task, "amberg"),

@@ -11,7 +11,7 @@ from manireg.plot import surface
 
 from .runs import scores
 
-SHOWN = ("rkhs_warp", "nricp_sumner", "rbf_r", "manireg_ambient")
+SHOWN = ("rkhs_warp", "nricp_sumner", "rbf_r", "manireg_tension")
 TITLES = ("RKHS warp", "nricp_sumner", "RBF, r", "manireg")
 LIMIT = 5.0  # mm
 TARGET = 1

@@ -15,7 +15,8 @@ NAMES = {
     "nricp_sumner": "trimesh nricp_sumner",
     "nricp_amberg": "trimesh nricp_amberg",
     "manireg_intrinsic": "**manireg, intrinsic Eells**",
-    "manireg_ambient": "**manireg, ambient Eells**",
+    "manireg_ambient": "**manireg, ambient Eells** (tension 0)",
+    "manireg_tension": "**manireg, ambient Eells with tension** (default)",
 }
 HEADS = {"ict": "ICT", "makehuman": "MakeHuman"}
 BASE = "rbf_r"
