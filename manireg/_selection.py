@@ -95,10 +95,10 @@ def cross_validate(
     share the folds (see `sweep`). The lambdas are followed up and down from the one whose
     wavelength is 1.5 spacings of the data, each fit started from its neighbours,
     extrapolated in log lambda: measured on curves, a few Newton steps a fit, and minima
-    no worse than from cold starts. Under a far too large lambda maps fold up and Newton's
-    method struggles: either way of the default grid ends where the mean score is twice the
-    best, and of a given one where, besides, it has not converged for some fold in
-    `max_steps`. What lies beyond scores infinity.
+    no worse than from cold starts. Under far too large lambdas a map followed from below
+    folds up: where the mean score is twice the best, the default grid ends (what lies
+    beyond scores infinity), and the rest of a given one is followed from its upper end
+    downwards.
 
     **Arguments:**
 
@@ -146,10 +146,12 @@ def _follow(grid, shared, training, bar, adapt: bool):
     problem, n = shared[0], len(grid)
     middle = lambda_of_wavelength(problem, ANCHOR * data_spacing(problem))
     anchor = int(jnp.argmin(jnp.abs(jnp.log(grid / middle))))
-    free = sweep(_start, training, (grid[anchor], *shared))
     scores = np.full((len(training), n), np.inf)
     converged = np.zeros((len(training), n), dtype=bool)
-    w = np.zeros((len(training), n, *free.w.shape[1:]))
+    w = np.zeros((len(training), n, problem.pattern.size, problem.y.shape[1]))
+
+    def start(i):
+        return sweep(_start, training, (grid[i], *shared))
 
     def fit(place, i):
         lanes = training, place
@@ -160,15 +162,20 @@ def _follow(grid, shared, training, bar, adapt: bool):
         bar.update()
         return place
 
-    at_anchor = fit(free, anchor)
-    for indices in (range(anchor + 1, n), range(anchor - 1, -1, -1)):
-        place = at_anchor
-        for i in indices:
+    def follow(place, indices: range, to_the_end: bool) -> range:
+        """From place to place, up to the first hopeless one; what is left."""
+        for done, i in enumerate(indices, start=1):
             place = fit(place, i)
             means = scores.mean(axis=0)
-            hopeless = means[i] > HOPELESS * means.min()
-            if hopeless and (adapt or not converged[:, i].all()):
-                break
+            if means[i] > HOPELESS * means.min() and not to_the_end:
+                return indices[done:]
+        return indices[:0]
+
+    at_anchor = fit(start(anchor), anchor)
+    beyond = follow(at_anchor, range(anchor + 1, n), to_the_end=False)
+    follow(at_anchor, range(anchor - 1, -1, -1), to_the_end=not adapt)
+    if beyond and not adapt:
+        follow(start(n - 1), beyond[::-1], to_the_end=True)
     return tuple(map(jnp.asarray, (scores, converged, w)))
 
 

@@ -74,6 +74,15 @@ def test_given_lambdas_are_sorted_and_kept(chosen):
     assert result.lam == result.lams[np.argmin(result.scores.mean(0))]
 
 
+def test_given_lambdas_are_all_tried(chosen):
+    """Hopeless ones, too, which the default grid leaves out."""
+    assert not np.all(np.isfinite(chosen.scores))
+    result = choose(lams=chosen.lams)
+    assert np.all(np.isfinite(result.scores)) and np.all(result.converged)
+    tried = np.isfinite(chosen.scores)
+    np.testing.assert_allclose(result.scores[tried], chosen.scores[tried], rtol=1e-6)
+
+
 def test_grid_widens_when_the_best_lies_on_its_edge(chosen):
     """A straight line wants lambda = infinity, a fast wave without noise lambda = 0."""
     assert len(chosen.lams) == 20

@@ -127,6 +127,18 @@ def test_lowest_start_wins(problem, model):
     assert value(several) <= value(model) * (1 + 1e-9)
 
 
+def test_lambdas_far_too_large_converge():
+    """Geodesics, far from the data: the valley of minimisers is curved and flat."""
+    data = mr.datasets.line_on_sphere(jax.random.key(2), 30, 1000.0)
+    problem = mr.make_problem(mr.Interval(0, 1), mr.Sphere(2), data.x, data.y)
+    energies = [
+        mr.solve(problem, lam, max_steps=150).energies  # raises if it does not end
+        for lam in mr.lambda_grid(problem)[14:]
+    ]
+    assert np.all(np.diff([float(e.loss) for e in energies]) > 0)
+    assert np.all(np.diff([float(e.eells) for e in energies]) < 0)
+
+
 def test_failure_is_told(problem):
     stopped = mr.solve(problem, LAM, max_steps=1, throw=False)
     assert stopped.result != optx.RESULTS.successful
