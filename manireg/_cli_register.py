@@ -51,9 +51,12 @@ def register(
         list[int], typer.Option(min=20, help="Local polynomials; several: as above.")
     ] = [400],
     tension: Annotated[
-        float,
-        typer.Option(min=0, help="Of the ambient energy; 0: it may overshoot."),
-    ] = 1.0,
+        list[float],
+        typer.Option(
+            min=0,
+            help="Of the ambient energy; 0 where surfaces bend far. Several: as above.",
+        ),
+    ] = [1.0],
 ) -> None:
     """Map one scanned surface onto another from a few landmarks.
 

@@ -70,11 +70,15 @@ def test_bent_ball(geometry):
 
 
 @pytest.mark.slow
-def test_centres_are_chosen_by_what_predicts_landmarks():
+@pytest.mark.parametrize(
+    ("name", "both"), [("centres", (20, 80)), ("tension", (0.0, 1e3))]
+)
+def test_chosen_is_what_predicts_landmarks(name, both):
     """The better of two, found without knowing the truth."""
+    options = {"centres": 80, "progress": False}
     found = [
-        mr.register(BALL, BENT, LANDMARKS, LANDMARKS, 1e-6, centres=n, progress=False)
-        for n in (20, 80, (20, 80))
+        mr.register(BALL, BENT, LANDMARKS, LANDMARKS, 1e-6, **options | {name: value})
+        for value in (*both, both)
     ]
     errors = [np.linalg.norm(f.vertices - BENT.vertices, axis=1).mean() for f in found]
     assert errors[0] != errors[1]

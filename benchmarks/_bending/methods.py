@@ -29,6 +29,7 @@ def registered(geometry: str) -> Callable[[Data, int], Fit]:
             # as positions on the scan: register allows a hundredth of the size
             project(data.target, data.places),
             geometry=geometry,
+            tension=0.0,  # holds on to an affine map: not for sheets rolled up
             centres=centres,
             progress=False,
         )
