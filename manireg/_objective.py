@@ -1,7 +1,7 @@
 """The objective: data, and one function of the coefficients.
 
     E(w) = sum_q weight_q phi(A_q w) + sum_i weight_i d^2(y_i, pi(B_i w)) / sum_i weight_i
-    phi  = lam |eells residual|^2 + gamma |Psi - pi(Psi)|^2
+    phi  = lam |energy residual|^2 + gamma |Psi - pi(Psi)|^2
 
 A_q, B_i are the jets (fixed, sparse, linear); phi and the loss are the pointwise
 densities. Value, gradient (autodiff) and Hessian (`_hessian`) all read from here.

@@ -136,7 +136,6 @@ def assemble_problem(
         free_jets = jets_of(basis, domain.points, domain.frames, flat)
     data_jets = value_jets(basis, x, energy_jets)
     pattern, energy_places, data_places = pattern_of(basis, energy_jets, data_jets)
-    stretched = energy_jets, domain.points, x, y, weights
     return Problem(
         source=source,
         target=target,
@@ -151,7 +150,7 @@ def assemble_problem(
         pattern=pattern,
         energy_places=energy_places,
         data_places=data_places,
-        tension=tension_of(tension, *stretched) if tension else None,
+        tension=tension_of(tension, energy_jets, domain.points, x, y, weights),
     )
 
 

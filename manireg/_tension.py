@@ -27,8 +27,10 @@ def tension_of(
     x: Float[Array, "k s"],
     y: Float[Array, "k t"],
     weights: Float[Array, " k"],
-) -> Tension:
-    """h is the spacing of the data around each point."""
+) -> Tension | None:
+    """h is the spacing of the data around each point. None if `tau` is zero."""
+    if tau == 0:
+        return None
     h = data_spacings(np.asarray(points), np.asarray(x))
     share = np.asarray(weights / jnp.sum(weights))[:, None]
     centre = lambda a: np.sqrt(share) * (a - np.sum(share * a, axis=0))
