@@ -1,10 +1,14 @@
 """Pointwise densities: what one quadrature point or one datum contributes.
 
-All are pure functions of a jet `(J, t)` of Psi in flattened ambient coordinates: row 0
-the value, rows 1..m first, the others second derivatives (see `_jets`). Energies come as
-residuals whose square is the density, because their Jacobians, taken through the
-projector, are the Gauss-Newton blocks of the Hessian.
+All are pure functions of a jet of Psi in flattened ambient coordinates: a tuple of its
+rows, first the value, then the m first derivatives, the others second derivatives (see
+`_jets`). No array of rows: the derivative of a slice is a sum of padded arrays, and takes
+half of the time of an exact Hessian. Energies come as residuals whose square is the
+density, because their Jacobians, taken through the projector, are the Gauss-Newton blocks
+of the Hessian.
 """
+
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +17,8 @@ from jaxtyping import Array, Float
 
 from ._jets import second_derivative_pairs
 from .manifolds import AbstractManifold
+
+Jet = Sequence[Float[Array, " t"]]
 
 
 def project_flat(
@@ -23,13 +29,12 @@ def project_flat(
 
 
 def _to_tangent(
-    target: AbstractManifold, psi: Float[Array, " t"], vectors: Float[Array, "r t"]
+    target: AbstractManifold, psi: Float[Array, " t"], vectors: Jet
 ) -> Float[Array, "r t"]:
+    # one by one: under vmap XLA loops over arrays of another shape (measured: a third)
     p = psi.reshape(target.point_shape)
-    ambient = vectors.reshape(-1, *target.point_shape)
-    return jax.vmap(lambda v: target.tangent_projection(p, v))(ambient).reshape(
-        vectors.shape
-    )
+    project = lambda v: target.tangent_projection(p, v.reshape(p.shape)).ravel()
+    return jnp.stack([project(v) for v in vectors])
 
 
 def _multiplicities(m: int) -> Float[Array, "pairs 1"]:
@@ -38,13 +43,8 @@ def _multiplicities(m: int) -> Float[Array, "pairs 1"]:
     return jnp.array([[1.0 if a == b else np.sqrt(2.0)] for a, b in pairs])
 
 
-def thin_plate_residual(jet: Float[Array, "J t"], m: int) -> Float[Array, "r t"]:
-    r"""$|r|^2 = |H|^2$, the ambient second derivative: the paper's (3)."""
-    return _multiplicities(m) * jet[1 + m :]
-
-
 def penalised_residual(
-    target: AbstractManifold, jet: Float[Array, "J t"], m: int
+    target: AbstractManifold, jet: Jet, m: int
 ) -> Float[Array, "r t"]:
     r"""$|r|^2 = |P(\pi(\Psi)) H|^2$: the Eells density of the paper's (2), (5) for maps
     near N. The projector is that of the closest point, in any codimension."""
@@ -53,17 +53,17 @@ def penalised_residual(
 
 def tension_residual(
     target: AbstractManifold,
-    jet: Float[Array, "J t"],
+    jet: Jet,
     strength: Float[Array, ""],
     derivative: Float[Array, "m t"],
 ) -> Float[Array, "m t"]:
     r"""$|r|^2 = \tau |P(\pi(\Psi)) (D\Psi - A)|^2 / h^2$."""
-    first = jet[1 : 1 + len(derivative)]
-    return strength * _to_tangent(target, jet[0], first - derivative)
+    stretching = [row - a for row, a in zip(jet[1:], derivative)]
+    return strength * _to_tangent(target, jet[0], stretching)
 
 
 def projected_residual(
-    target: AbstractManifold, jet: Float[Array, "J t"], m: int
+    target: AbstractManifold, jet: Jet, m: int
 ) -> Float[Array, "r t"]:
     r"""$|r|^2$ = the Eells density of $\pi \circ \Psi$, a map into N:
     $P(D^2\pi[\partial_a\Psi, \partial_b\Psi] + D\pi\, H_{ab})$ (mathematics, 2.6 (ii)).
@@ -76,7 +76,7 @@ def projected_residual(
         ]
         _, row = jax.jvp(push, (value, first[a]), (first[b], h))
         rows.append(row)
-    return _multiplicities(m) * _to_tangent(target, value, jnp.stack(rows))
+    return _multiplicities(m) * _to_tangent(target, value, rows)
 
 
 def off_manifold_residual(

@@ -22,6 +22,7 @@ from ._objective import (
     Stage,
     at_points,
     data_weights,
+    densities,
     energy_residual,
     strengths,
 )
@@ -88,8 +89,9 @@ def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
     curved never below the true Hessian."""
 
     def residuals(target, jet, *strength):
-        energy = jnp.sqrt(stage.lam) * energy_residual(stage, target, jet, *strength)
-        off = jnp.sqrt(stage.gamma) * off_manifold_residual(target, jet[0])
+        rows = jnp.unstack(jet)
+        energy = jnp.sqrt(stage.lam) * energy_residual(stage, target, rows, *strength)
+        off = jnp.sqrt(stage.gamma) * off_manifold_residual(target, rows[0])
         return jnp.concatenate([energy.ravel(), off])
 
     def landed(target, jet):
@@ -124,9 +126,8 @@ def exact(
     by; iterative solvers need it."""
 
     def density(target, jet, *strength):
-        off = off_manifold_residual(target, jet[0])
-        energy = energy_residual(stage, target, jet, *strength)
-        return stage.lam * jnp.sum(energy**2) + stage.gamma * jnp.sum(off**2)
+        bending, gap = densities(stage, target, jet, *strength)
+        return stage.lam * bending + stage.gamma * gap
 
     def loss(target, jet, y):
         return geodesic_loss(target, jet[0], y)

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, ScalarLike
 
 from ._densities import (
+    Jet,
     geodesic_loss,
     off_manifold_residual,
     penalised_residual,
@@ -54,7 +55,7 @@ class Energies(eqx.Module):
 def energy_residual(
     stage: Stage,
     target: AbstractManifold,
-    jet: Float[Array, "J t"],
+    jet: Jet,
     strength: Float[Array, ""] | None = None,
 ) -> Float[Array, "r t"]:
     """`strength`: of the tension, if there is one (see `strengths`)."""
@@ -67,8 +68,20 @@ def energy_residual(
     return jnp.concatenate([bending, stretching])
 
 
+def densities(
+    stage: Stage,
+    target: AbstractManifold,
+    jet: Float[Array, "J t"],
+    *strength: Float[Array, ""],
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """|energy residual|^2 and |Psi - pi(Psi)|^2 at a quadrature point."""
+    rows = jnp.unstack(jet)
+    bending = energy_residual(stage, target, rows, *strength)
+    return jnp.sum(bending**2), jnp.sum(off_manifold_residual(target, rows[0]) ** 2)
+
+
 def strengths(problem: Problem) -> tuple[Float[Array, "e p"], ...]:
-    """What `energy_residual` takes beside the jets, at every quadrature point."""
+    """What `densities` take beside the jets, at every quadrature point."""
     return () if problem.tension is None else (problem.tension.strength,)
 
 
@@ -105,12 +118,9 @@ def objective(
 ) -> tuple[Float[Array, ""], Energies]:
     problem = stage.problem
     jets = jet_values(problem.energy_jets, w)
-    residual = functools.partial(energy_residual, stage)
-    residuals = at_quadrature(stage, residual, jets, *strengths(problem))
-    eells = jnp.sum(problem.energy_weights * jnp.sum(residuals**2, axis=(2, 3)))
-
-    displacement = at_quadrature(stage, off_manifold_residual, jets[:, :, 0])
-    gaps = jnp.sum(displacement**2, axis=2)
+    both = functools.partial(densities, stage)
+    bending, gaps = at_quadrature(stage, both, jets, *strengths(problem))
+    eells = jnp.sum(problem.energy_weights * bending)
     penalty = jnp.sum(problem.energy_weights * gaps)
 
     values = jet_values(problem.data_jets, w)[:, :, 0]
