@@ -19,7 +19,7 @@ from ._linear_solvers import DirectSolvers, direct_solvers
 from ._minimise import minimise, newton_minimiser, stage_of
 from ._objective import Stage, at_data, objective
 from ._problem import Problem
-from ._selection import CrossValidation, data_spacing, lambda_of_wavelength
+from ._selection import CrossValidation, lambda_of_wavelength, mean_spacing
 from ._solve import RegressionMap, free_solution
 
 LONGEST = 2.7  # wavelength at the top of the default grid, in spacings of the data
@@ -119,7 +119,7 @@ def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
 
 
 def _grid(problem: Problem) -> Float[Array, " lams"]:
-    longest = lambda_of_wavelength(problem, LONGEST * data_spacing(problem))
+    longest = lambda_of_wavelength(problem, LONGEST * mean_spacing(problem))
     return longest * RATIO ** -jnp.arange(VALUES)[::-1]
 
 

@@ -59,12 +59,13 @@ def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
     the scale of the target. Below the spacing the data say nothing.
     """
     size = problem.volume ** (1 / sampled_dim(problem.source))
-    low = jnp.log(lambda_of_wavelength(problem, data_spacing(problem)))
+    low = jnp.log(lambda_of_wavelength(problem, mean_spacing(problem)))
     high = jnp.log(lambda_of_wavelength(problem, 2 * size))
     return jnp.exp(jnp.linspace(low, high, n))
 
 
-def data_spacing(problem: Problem):
+def mean_spacing(problem: Problem):
+    """Of the data, were they spread evenly."""
     return (problem.volume / len(problem.y)) ** (1 / sampled_dim(problem.source))
 
 
@@ -144,7 +145,7 @@ def _follow(grid, shared, training, bar, adapt: bool):
     """Scores and convergence, `(folds, lams)`; coefficients, `(folds, lams, KC, t)`.
     `adapt`: no further than to the hopeless."""
     problem, n = shared[0], len(grid)
-    middle = lambda_of_wavelength(problem, ANCHOR * data_spacing(problem))
+    middle = lambda_of_wavelength(problem, ANCHOR * mean_spacing(problem))
     anchor = int(jnp.argmin(jnp.abs(jnp.log(grid / middle))))
     scores = np.full((len(training), n), np.inf)
     converged = np.zeros((len(training), n), dtype=bool)

@@ -64,7 +64,7 @@ def test_assembly_in_chunks(problem, monkeypatch):
     elements, points, _, functions = problem.data_jets.matrices.shape
     of_element = 8 * 6 * points * functions  # 6 pairs of coordinates
     assert elements == 12  # eight and a rest of four
-    monkeypatch.setattr("manireg._hessian.CHUNK_BYTES", 8 * of_element)
+    monkeypatch.setattr("manireg._assembly.CHUNK_BYTES", 8 * of_element)
     chunks = gauss_newton(w, stage).blocks
     np.testing.assert_allclose(chunks, whole, atol=1e-13 * float(jnp.abs(whole).max()))
 
