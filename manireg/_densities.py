@@ -31,10 +31,11 @@ def project_flat(
 def _to_tangent(
     target: AbstractManifold, psi: Float[Array, " t"], vectors: Jet
 ) -> Float[Array, "r t"]:
-    # one by one: under vmap XLA loops over arrays of another shape (measured: a third)
     p = psi.reshape(target.point_shape)
     project = lambda v: target.tangent_projection(p, v.reshape(p.shape)).ravel()
-    return jnp.stack([project(v) for v in vectors])
+    if len(vectors) == 1:  # of a curve: under vmap an exact Hessian takes a third more
+        return project(vectors[0])[None]
+    return jax.vmap(project)(jnp.stack(vectors))
 
 
 def _multiplicities(m: int) -> Float[Array, "pairs 1"]:
