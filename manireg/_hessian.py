@@ -17,14 +17,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._assembly import VALUE, PointHessians, assembled
-from ._densities import geodesic_loss, off_manifold_residual, project_flat
+from ._densities import geodesic_loss, project_flat
 from ._jets import jet_values
 from ._objective import (
     Stage,
     at_points,
     data_weights,
     densities,
-    energy_residual,
+    residuals,
     strengths,
 )
 from ._problem import Problem
@@ -80,10 +80,9 @@ def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
     """The loss contributes 2 Dpi^T Dpi: exact for a perfect fit, and where N is positively
     curved never below the true Hessian."""
 
-    def residuals(target, jet, *strength):
-        rows = jnp.unstack(jet)
-        energy = jnp.sqrt(stage.lam) * energy_residual(stage, target, rows, *strength)
-        off = jnp.sqrt(stage.gamma) * off_manifold_residual(target, rows[0])
+    def weighted(target, jet, *strength):
+        energy, off = residuals(stage, target, jet, *strength)
+        energy, off = jnp.sqrt(stage.lam) * energy, jnp.sqrt(stage.gamma) * off
         return jnp.concatenate([energy.ravel(), off])
 
     def landed(target, jet):
@@ -102,7 +101,7 @@ def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
     problem, rows, local = stage.problem, _rows(stage), stage.local
     jets = [jet_values(j, w) for j in (problem.energy_jets, problem.data_jets)]
     energy = _each_element(
-        gram(residuals, rows),
+        gram(weighted, rows),
         local and local.at_quadrature,
         jets[0],
         *strengths(problem),

@@ -68,20 +68,31 @@ def energy_residual(
     return jnp.concatenate([bending, stretching])
 
 
+def residuals(
+    stage: Stage,
+    target: AbstractManifold,
+    jet: Float[Array, "J t"],
+    *strength: Float[Array, ""],
+) -> tuple[Float[Array, "r t"], Float[Array, " t"]]:
+    """Those of the energy, and Psi - pi(Psi), at a quadrature point."""
+    rows = jnp.unstack(jet)
+    energy = energy_residual(stage, target, rows, *strength)
+    return energy, off_manifold_residual(target, rows[0])
+
+
 def densities(
     stage: Stage,
     target: AbstractManifold,
     jet: Float[Array, "J t"],
     *strength: Float[Array, ""],
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """|energy residual|^2 and |Psi - pi(Psi)|^2 at a quadrature point."""
-    rows = jnp.unstack(jet)
-    bending = energy_residual(stage, target, rows, *strength)
-    return jnp.sum(bending**2), jnp.sum(off_manifold_residual(target, rows[0]) ** 2)
+    """The squares of both `residuals`."""
+    energy, off = residuals(stage, target, jet, *strength)
+    return jnp.sum(energy**2), jnp.sum(off**2)
 
 
 def strengths(problem: Problem) -> tuple[Float[Array, "e p"], ...]:
-    """What `densities` take beside the jets, at every quadrature point."""
+    """What `residuals` take beside the jets, at every quadrature point."""
     return () if problem.tension is None else (problem.tension.strength,)
 
 
