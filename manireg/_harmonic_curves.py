@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ._block_tridiagonal import solve_tridiagonal
+from ._block_banded import solve_banded
 from ._frames import frames_at
 from ._numerics import norm_squared
 from .manifolds import AbstractManifold, PointCloud
@@ -111,9 +111,10 @@ def _newton_step(manifold: AbstractManifold, patches, curve):
     frames, gradient, bend = _pointwise(manifold, patches, local, inner, pull)
     side = -jnp.einsum("ita,itb->iab", frames[:-1], frames[1:])
     model = 2 * jnp.broadcast_to(jnp.eye(manifold.dim), bend.shape)
-    solve = jax.vmap(solve_tridiagonal, (0, None, None))
-    x, positive = solve(jnp.stack([model + bend, model]), side, gradient)
-    x = jnp.where(positive[0], *x)
+    below = jnp.pad(jnp.swapaxes(side, 1, 2), ((0, 1), (0, 0), (0, 0)))
+    solve = lambda own: solve_banded(jnp.stack([own, below], 1), gradient[:, None])
+    x, of_model = (x[:, 0] for x in jax.vmap(solve)(jnp.stack([model + bend, model])))
+    x = jnp.where(jnp.all(jnp.isfinite(x)), x, of_model)
     step = -jnp.einsum("itm,im->it", frames, x).reshape(inner.shape)
     return step, 0.5 * jnp.sum(x * gradient)
 

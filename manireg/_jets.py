@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 
 from ._local_polynomials import LocalPolynomials, basis_values
 
-POINTS_IN_ELEMENT = 12  # at most, times the dimension; half to all of it come out
+IN_ELEMENT = 24  # points at most, half to all of it come out; on curves a spacing's
 STEP = 4  # centres; see `_padded`
 
 
@@ -70,9 +70,9 @@ def jets_of(
     second_forms: Float[Array, "Q m m s"],
 ) -> Jets:
     """Full jets of `basis` at `points`. Runs once, on the host."""
-    largest = POINTS_IN_ELEMENT * min(basis.dim, 2)
-    elements = _elements(basis, np.asarray(points), largest)
-    index, mask, near = map(jnp.asarray, elements)
+    where = np.asarray(points)
+    cells = _nearest(basis, where) if basis.dim == 1 else _bisect(where, IN_ELEMENT)
+    index, mask, near = map(jnp.asarray, _elements(basis, where, cells))
     matrices = _jet_rows(basis, points[index], frames[index], second_forms[index], near)
     return Jets(matrices, _columns(basis, near), index, mask, _buckets(near, basis))
 
@@ -82,10 +82,10 @@ def value_jets(
 ) -> Jets:
     """Values only. Shapes depend on the number of points and, as far as possible, on
     `energy_jets`, not on where the points lie: new data reuse a compiled program."""
-    p = max(1, len(points) // len(energy_jets.columns))
+    where = np.asarray(points)
+    cells = _bisect(where, max(1, len(points) // len(energy_jets.columns)))
     overlap = energy_jets.columns.shape[1] // basis.size
-    elements = _elements(basis, np.asarray(points), p, overlap)
-    index, mask, near = map(jnp.asarray, elements)
+    index, mask, near = map(jnp.asarray, _elements(basis, where, cells, overlap))
     matrices = _value_rows(basis, points[index], near)
     columns = _columns(basis, near)
     e, U = columns.shape
@@ -156,12 +156,11 @@ def _jet_rows(basis, points, frames, second_forms, near):
 def _elements(
     basis: LocalPolynomials,
     points: np.ndarray,
-    points_per_element: int,
+    cells: list[np.ndarray],
     overlap: int = 0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cells of neighbouring points, and the centres that reach each: index, mask and
     centres (at least `overlap` places for them), elements with few centres first."""
-    cells = _bisect(points, np.arange(len(points)), points_per_element)
     element = np.zeros(len(points), dtype=int)
     for e, cell in enumerate(cells):
         element[cell] = e
@@ -182,16 +181,27 @@ def _elements(
     return index, filled.astype(float), centres
 
 
-def _bisect(points: np.ndarray, index: np.ndarray, largest: int) -> list[np.ndarray]:
+def _nearest(basis: LocalPolynomials, points: np.ndarray) -> list[np.ndarray]:
+    """The points next to each centre: on a curve of equal spacings all of them have the
+    same centres near."""
+    centre = KDTree(np.asarray(basis.centres)).query(points)[1]
+    order = np.argsort(centre, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(centre[order])) + 1)
+
+
+def _bisect(points: np.ndarray, largest: int) -> list[np.ndarray]:
     """Halves of halves across the widest direction, until none holds more than `largest`
     points: how many cells there are depends on the number of points only."""
-    if len(index) <= largest:
-        return [index]
-    axis = np.argmax(np.ptp(points[index], axis=0))
-    half = len(index) // 2
-    order = index[np.argsort(points[index, axis], kind="stable")]
-    parts = order[:half], order[half:]
-    return [cell for part in parts for cell in _bisect(points, part, largest)]
+
+    def halves(index):
+        if len(index) <= largest:
+            return [index]
+        axis = np.argmax(np.ptp(points[index], axis=0))
+        order = index[np.argsort(points[index, axis], kind="stable")]
+        half = len(index) // 2
+        return [*halves(order[:half]), *halves(order[half:])]
+
+    return halves(np.arange(len(points)))
 
 
 def _padded(rows, fill, least: int = 0) -> tuple[np.ndarray, np.ndarray]:

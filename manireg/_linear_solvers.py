@@ -1,5 +1,5 @@
-"""Solvers for the sparse Hessian: CHOLMOD and KLU through sparsax on the CPU, dense
-factorisations for a GPU and for checks. Each is a lineax solver of its own.
+"""Solvers for the sparse Hessian: a band Cholesky on curves, CHOLMOD through sparsax on
+surfaces, dense factorisations for a GPU and for checks. Each is a lineax solver of its own.
 
 All scale the matrix to unit diagonal, D^{-1/2} A D^{-1/2}; the Cholesky ones then add
 `ridge`. It moves only directions the objective hardly sees (the gauge of the basis), and
@@ -15,6 +15,7 @@ import lineax as lx
 import sparsax
 from jaxtyping import Array, Float
 
+from ._block_banded import solve_banded
 from ._sparse import SparseSymmetric
 
 
@@ -40,8 +41,7 @@ class SparseCholesky(_AbstractDirect):
         operator = _sparse(operator)
         scale = _scale(operator)
         i, j = operator.coordinates()
-        identity = jnp.eye(operator.blocks.shape[-1]) * _on_diagonal(operator)
-        values = _scaled_blocks(operator, scale) + self.ridge * identity
+        values = _regular_blocks(operator, scale, self.ridge)
         return i.ravel(), j.ravel(), values.ravel(), scale
 
     def compute(self, state, vector, options):
@@ -50,24 +50,30 @@ class SparseCholesky(_AbstractDirect):
         return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
 
-class SparseLU(_AbstractDirect):
-    """KLU, for a symmetric operator that may be indefinite (the exact Hessian): on curves
-    as quick as Cholesky; on surfaces pivoting fills the factors."""
+class BandCholesky(_AbstractDirect):
+    """On curves, for both: of the exact Hessian only where it is positive definite, else
+    the solution is not a number. No callbacks."""
+
+    ridge: float = 1e-12
 
     def init(self, operator: Any, options):
         del options
         if not isinstance(operator, SparseSymmetric):
             operator = operator.assembled()
-        scale = _scale(operator)
-        i, j = operator.coordinates()
-        values = _scaled_blocks(operator, scale)
-        below = jnp.where(_on_diagonal(operator), 0.0, values)
-        coordinates = [jnp.stack([i, j]).ravel(), jnp.stack([j, i]).ravel()]
-        return *coordinates, jnp.stack([values, below]).ravel(), scale
+        pattern, scale = operator.pattern, _scale(operator)
+        assert pattern.band is not None, "a curve"
+        shape = (pattern.centres, pattern.band, *operator.blocks.shape[1:])
+        places = pattern.rows, pattern.cols - pattern.rows
+        blocks = jnp.swapaxes(_regular_blocks(operator, scale, self.ridge), 1, 2)
+        return jnp.zeros(shape).at[places].set(blocks), scale
 
     def compute(self, state, vector, options):
-        i, j, values, scale = state
-        solution = sparsax.lu_solve(i, j, values, _flat(scale, vector))
+        columns, scale = state
+        n, m = columns.shape[0], columns.shape[-1]
+        flat = _flat(scale, vector)
+        sides = jnp.swapaxes(flat.reshape(n, m, -1), 1, 2)
+        solution = jnp.swapaxes(solve_banded(columns, sides), 1, 2)
+        solution = solution.reshape(flat.shape)
         return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
 
@@ -155,7 +161,9 @@ def direct_solvers(kind: str = "auto", dim: int = 2) -> DirectSolvers:
     if kind == "auto":
         kind = "sparse" if jax.default_backend() == "cpu" else "dense"
     if kind == "sparse":
-        return DirectSolvers(SparseCholesky(), SparseLU() if dim == 1 else ModelCG())
+        if dim == 1:
+            return DirectSolvers(BandCholesky(), BandCholesky())
+        return DirectSolvers(SparseCholesky(), ModelCG())
     if kind == "dense":
         return DirectSolvers(DenseCholesky(), DenseLU())
     raise ValueError(
@@ -192,15 +200,13 @@ def _unflat(scale, vector, solution):
     return scaled.reshape(vector.shape)
 
 
-def _scaled_blocks(operator: SparseSymmetric, scale):
+def _regular_blocks(operator: SparseSymmetric, scale, ridge: float):
+    """Of the scaled matrix, `ridge` added to its diagonal."""
     scale = scale.reshape(operator.pattern.centres, -1)
     rows, cols = operator.pattern.rows, operator.pattern.cols
-    return operator.blocks * scale[rows][:, :, None] * scale[cols][:, None, :]
-
-
-def _on_diagonal(operator: SparseSymmetric):
-    """Diagonal blocks."""
-    return (operator.pattern.rows == operator.pattern.cols)[:, None, None]
+    blocks = operator.blocks * scale[rows][:, :, None] * scale[cols][:, None, :]
+    own = (rows == cols)[:, None, None]
+    return blocks + ridge * own * jnp.eye(blocks.shape[-1])
 
 
 def _dense(operator: lx.AbstractLinearOperator):

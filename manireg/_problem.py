@@ -1,6 +1,7 @@
 """Data and discretisation of one regression, analysed once on the host."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
@@ -11,7 +12,7 @@ from ._farthest_points import local_spacings
 from ._jets import Jets, bucket_centres, jets_of, value_jets
 from ._local_polynomials import LocalPolynomials, local_polynomials
 from ._sources import Ambient, Source, sampled, sampled_dim
-from ._sparse import SparsityPattern, sparsity
+from ._sparse import SparsityPattern, band_order, sparsity
 from ._tension import Tension, tension_of
 from .manifolds import AbstractManifold, PointCloud
 
@@ -122,6 +123,9 @@ def make_problem(
     else:
         spacing = (jnp.sum(domain.weights) / len(nodes.points)) ** (1 / m)
     basis = local_polynomials(nodes, width * spacing, degree)
+    if m == 1:
+        order = band_order(np.asarray(basis.centres), np.asarray(basis.widths))
+        basis = jax.tree.map(lambda a: a[order], basis)
     return assemble_problem(source, target, basis, domain, x, y, weights, tension)
 
 
@@ -159,5 +163,7 @@ def pattern_of(basis: LocalPolynomials, energy_jets: Jets, data_jets: Jets):
     elements."""
     energy, data = (bucket_centres(j, basis.size) for j in (energy_jets, data_jets))
     supports = np.asarray(basis.centres), np.asarray(basis.widths)
-    pattern, places = sparsity([*energy, *data], *supports, basis.size)
+    pattern, places = sparsity(
+        [*energy, *data], *supports, basis.size, on_curve=basis.dim == 1
+    )
     return pattern, places[: len(energy)], places[len(energy) :]

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.spatial import KDTree
 
 
@@ -21,6 +22,8 @@ class SparsityPattern(eqx.Module):
     centres: int = eqx.field(static=True)
     functions: int = eqx.field(static=True)
     """Basis functions of each centre."""
+    band: int | None = eqx.field(static=True)
+    """Interacting centres are less than this apart in order; None but on curves."""
 
     @property
     def size(self) -> int:
@@ -106,20 +109,23 @@ def sparsity(
     points: Float[np.ndarray, "K s"],
     radii: Float[np.ndarray, " K"],
     functions: int,
+    on_curve: bool,
 ) -> tuple[SparsityPattern, tuple[Int[Array, "_ _"], ...]]:
     """Pattern of a sum of element matrices: all pairs of centres whose supports meet, so
     it is the same for all data. Host.
 
     **Arguments:** `families_of_centres`: for each family of elements their centres,
-    ascending (negative: padding, last); `points`, `radii` the centres' supports.
+    ascending (negative: padding, last); `points`, `radii` the centres' supports;
+    `on_curve`: whether to find the width of the band.
     **Returns** the pattern, and for each family the places in it of the element's pairs
     of centres i <= j, past its end where there is nothing to add.
     """
     K = len(points)
+    reach = radii * (1 - 1e-12)
 
     def keys(i, j, pair):
         apart = np.sqrt(sum((x[i] - x[j]) ** 2 for x in points.T))
-        return np.where(pair & (apart < radii[i] + radii[j]), i * K + j, K**2)
+        return np.where(pair & (apart < reach[i] + reach[j]), i * K + j, K**2)
 
     near = KDTree(points).query_ball_point(points, radii + np.max(radii))
     i = np.repeat(np.arange(K), [len(own) for own in near])
@@ -132,7 +138,18 @@ def sparsity(
         own = np.asarray(own, dtype=np.int64)
         first, second = (own[:, side] for side in np.triu_indices(own.shape[1]))
         places.append(np.searchsorted(entries, keys(first, second, second >= 0)))
+    band = int(jnp.max(cols - rows)) + 1 if on_curve else None
     return (
-        SparsityPattern(rows, cols, K, functions),
+        SparsityPattern(rows, cols, K, functions, band),
         tuple(jnp.asarray(into, dtype=jnp.int32) for into in places),
     )
+
+
+def band_order(
+    points: Float[np.ndarray, "K s"], radii: Float[np.ndarray, " K"]
+) -> Int[np.ndarray, " K"]:
+    """Centres of a curve so that those which interact are near each other: along an open
+    one, both ways round a closed one (reverse Cuthill-McKee). Host."""
+    tree = KDTree(points)
+    near = tree.sparse_distance_matrix(tree, 2 * np.max(radii), output_type="coo_matrix")
+    return reverse_cuthill_mckee(near.tocsr(), symmetric_mode=True)[::-1]

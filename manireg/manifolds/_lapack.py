@@ -35,3 +35,17 @@ eigh = _in_turn(lambda s: tuple(jnp.linalg.eigh(s)))
 
 svd = _in_turn(lambda a: tuple(jnp.linalg.svd(a, full_matrices=False)))
 """Thin singular value decompositions u, s, v^T of matrices `(..., n, p)`."""
+
+_cholesky = _in_turn(lambda a: (jax.lax.linalg.cholesky(a, symmetrize_input=False),))
+
+
+def inverse_cholesky(a):
+    """L^{-1} of A = L L^T, `(n, n)`; not a number where A is not positive definite.
+
+    All by one Cholesky decomposition, of [[A, I], [I, far]]: OpenBLAS shares a triangular
+    solve of eight rows among its threads, and those of two programs wait for each other.
+    """
+    n = len(a)
+    far = 1e200  # what comes off it is lost in rounding
+    pair = jnp.block([[a, jnp.zeros((n, n))], [jnp.eye(n), far * jnp.eye(n)]])
+    return _cholesky(pair)[0][n:, :n].T
