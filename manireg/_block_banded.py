@@ -8,7 +8,7 @@ from .manifolds._lapack import inverse_cholesky
 
 
 def solve_banded(
-    columns: Float[Array, "n r+1 m m"], rhs: Float[Array, "n sides m"]
+    columns: Float[Array, "n band m m"], rhs: Float[Array, "n sides m"]
 ) -> Float[Array, "n sides m"]:
     """Solution with the positive definite matrix of blocks `columns[i, d]` in row i + d,
     column i. Not a number where it is not positive definite.

@@ -19,6 +19,9 @@ from ._block_banded import solve_banded
 from ._sparse import SparseSymmetric
 
 
+LEAST = 1e-14  # times the largest number on the diagonal: what is less is zero
+
+
 class _AbstractDirect(lx.AbstractLinearSolver):
     def transpose(self, state, options):
         return state, options
@@ -60,21 +63,19 @@ class BandCholesky(_AbstractDirect):
         del options
         if not isinstance(operator, SparseSymmetric):
             operator = operator.assembled()
-        pattern, scale = operator.pattern, _scale(operator)
-        assert pattern.band is not None, "a curve"
-        shape = (pattern.centres, pattern.band, *operator.blocks.shape[1:])
-        places = pattern.rows, pattern.cols - pattern.rows
-        blocks = jnp.swapaxes(_regular_blocks(operator, scale, self.ridge), 1, 2)
-        return jnp.zeros(shape).at[places].set(blocks), scale
+        rows, cols, m = operator.pattern.rows, operator.pattern.cols, operator.blocks
+        shape = (operator.pattern.centres, operator.pattern.band, *m.shape[1:])
+        columns = jnp.zeros(shape).at[rows, cols - rows].set(jnp.swapaxes(m, 1, 2))
+        # Cholesky does not see the scale: a share of the diagonal is a ridge
+        size = jnp.abs(jnp.diagonal(columns[:, 0], axis1=1, axis2=2))
+        ridge = self.ridge * jnp.maximum(size, LEAST * jnp.max(size))
+        return columns.at[:, 0].add(ridge[:, None] * jnp.eye(shape[-1]))
 
     def compute(self, state, vector, options):
-        columns, scale = state
-        n, m = columns.shape[0], columns.shape[-1]
-        flat = _flat(scale, vector)
-        sides = jnp.swapaxes(flat.reshape(n, m, -1), 1, 2)
-        solution = jnp.swapaxes(solve_banded(columns, sides), 1, 2)
-        solution = solution.reshape(flat.shape)
-        return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
+        n, _, m, _ = state.shape
+        rhs = jnp.swapaxes(vector.reshape(n, m, -1), 1, 2)
+        solution = jnp.swapaxes(solve_banded(state, rhs), 1, 2)
+        return solution.reshape(vector.shape), lx.RESULTS.successful, {}
 
 
 class ModelCG(_AbstractDirect):
@@ -184,7 +185,7 @@ def _scale(operator: SparseSymmetric):
 def _inverse_root(diagonal):
     size = jnp.abs(diagonal)
     # of a zero matrix, too: under vmap both sides of a branch are computed
-    least = jnp.maximum(1e-14 * jnp.max(size), 1e-300)
+    least = jnp.maximum(LEAST * jnp.max(size), 1e-300)
     return jax.lax.rsqrt(jnp.maximum(size, least))
 
 

@@ -86,7 +86,7 @@ def _newton_solve(newton: Newton, stage: Stage, w, max_steps: int):
     solution = optx.minimise(
         objective, newton, w, stage, has_aux=True, max_steps=max_steps, throw=False
     )
-    total, _ = objective(solution.value, stage)
+    total = solution.stats["objective"]
     return solution.value, total, solution.result, solution.stats
 
 

@@ -210,14 +210,14 @@ class Newton(optx.AbstractMinimiser):
         return state.accepted.done, state.result
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        last = state.accepted
         stats = {
             "num_newton_steps": state.num_accepted_steps,
             "num_trials": state.num_trials,
+            "objective": last.f_info.f - jnp.where(last.done, last.decrease, 0.0),
         }
         # at the end the full Newton step is known already: take it
-        y = jtu.tree_map(
-            lambda a, b: jnp.where(state.accepted.done, a, b), state.y_eval, y
-        )
+        y = jtu.tree_map(lambda a, b: jnp.where(last.done, a, b), state.y_eval, y)
         return y, aux, stats
 
 

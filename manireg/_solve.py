@@ -156,10 +156,11 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     @jax.custom_batching.sequential_vmap
     def lowest(arrays):
         problem, lam, warm = eqx.combine(arrays, rest)
-        free = [free_solution(problem, factor * lam, solvers) for factor in starts]
+        free = lambda factor: free_solution(problem, factor * lam, solvers)
+        w0 = [jax.lax.map(free, jnp.array(starts))] if starts else []
         candidates = jax.lax.map(
             lambda w0: minimise(problem, lam, w0, method, newton, max_steps),
-            jnp.stack(free + ([] if warm is None else [warm])),
+            jnp.concatenate(w0 + ([] if warm is None else [warm[None]])),
         )
         best = jnp.argmin(jnp.nan_to_num(candidates[2], nan=jnp.inf))
         return jax.tree.map(lambda a: a[best], candidates)
