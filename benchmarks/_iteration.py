@@ -7,7 +7,7 @@ import sparsax
 from _timing import first_and_best
 
 from manireg._hessian import gauss_newton
-from manireg._linear_solvers import SparseCholesky
+from manireg._linear_solvers import SparseCholesky, direct_solvers
 from manireg._objective import Stage, objective
 
 
@@ -15,7 +15,7 @@ from manireg._objective import Stage, objective
 def _iterate(w, stage: Stage):
     value = eqx.filter_value_and_grad(objective, has_aux=True)
     (total, _), gradient = value(w, stage)
-    solver = SparseCholesky()
+    solver = direct_solvers("sparse", stage.problem.basis.dim).positive
     state = solver.init(gauss_newton(w, stage), {})
     return total, solver.compute(state, gradient, {})[0]
 
@@ -26,8 +26,8 @@ def _system(w, stage: Stage):
 
 
 def newton_iteration(w, stage: Stage, repeats: int) -> tuple[float, float]:
-    """Seconds of value, gradient, Gauss-Newton matrix and its solve; and those of the
-    factorisation with its solve alone. After a first call: CHOLMOD's analysis is done
+    """Seconds of value, gradient, Gauss-Newton matrix and its solve; and those of
+    CHOLMOD's factorisation of that matrix, with its solve, alone. After a first call: CHOLMOD's analysis is done
     once, and its factor kept while the values are the same, so they differ."""
     i, j, values, _ = _system(w, stage)
     factorise = jax.jit(sparsax.solve)

@@ -1,4 +1,4 @@
-"""Symmetric block banded systems: what neighbours on a curve have to do with each other."""
+"""Symmetric block banded systems: those of neighbours on a curve."""
 
 import jax
 import jax.numpy as jnp

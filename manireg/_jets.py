@@ -184,7 +184,7 @@ def _elements(
 def _nearest(basis: LocalPolynomials, points: np.ndarray) -> list[np.ndarray]:
     """The points next to each centre: on a curve of equal spacings all of them have the
     same centres near."""
-    centre = KDTree(np.asarray(basis.centres)).query(points)[1]
+    centre = np.asarray(KDTree(np.asarray(basis.centres)).query(points)[1])
     order = np.argsort(centre, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(centre[order])) + 1)
 

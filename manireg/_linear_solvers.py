@@ -1,9 +1,9 @@
-"""Solvers for the sparse Hessian: a band Cholesky on curves, CHOLMOD through sparsax on
-surfaces, dense factorisations for a GPU and for checks. Each is a lineax solver of its own.
+"""Solvers of the Newton system, each a lineax solver of its own: a band Cholesky on
+curves, CHOLMOD through sparsax on surfaces, dense ones for a GPU there and for checks.
 
-All scale the matrix to unit diagonal, D^{-1/2} A D^{-1/2}; the Cholesky ones then add
-`ridge`. It moves only directions the objective hardly sees (the gauge of the basis), and
-it is a term of the Newton step, not of the objective: the minimiser stays where it is.
+The Cholesky ones add `ridge` times the diagonal. It moves only directions the objective
+hardly sees (the gauge of the basis), and it is a term of the Newton step, not of the
+objective: the minimiser stays where it is.
 """
 
 from typing import Any
@@ -17,7 +17,6 @@ from jaxtyping import Array, Float
 
 from ._block_banded import solve_banded
 from ._sparse import SparseSymmetric
-
 
 LEAST = 1e-14  # times the largest number on the diagonal: what is less is zero
 
@@ -54,8 +53,8 @@ class SparseCholesky(_AbstractDirect):
 
 
 class BandCholesky(_AbstractDirect):
-    """On curves, for both: of the exact Hessian only where it is positive definite, else
-    the solution is not a number. No callbacks."""
+    """For the neighbours on a curve; an exact Hessian is assembled. No callback. Where the
+    operator is not positive definite up to `ridge`, the solution is not a number."""
 
     ridge: float = 1e-12
 
@@ -63,13 +62,13 @@ class BandCholesky(_AbstractDirect):
         del options
         if not isinstance(operator, SparseSymmetric):
             operator = operator.assembled()
-        rows, cols, m = operator.pattern.rows, operator.pattern.cols, operator.blocks
-        shape = (operator.pattern.centres, operator.pattern.band, *m.shape[1:])
-        columns = jnp.zeros(shape).at[rows, cols - rows].set(jnp.swapaxes(m, 1, 2))
-        # Cholesky does not see the scale: a share of the diagonal is a ridge
-        size = jnp.abs(jnp.diagonal(columns[:, 0], axis1=1, axis2=2))
+        pattern, blocks = operator.pattern, operator.blocks
+        shape = (pattern.centres, pattern.band, *blocks.shape[1:])
+        places = pattern.rows, pattern.cols - pattern.rows
+        columns = jnp.zeros(shape).at[places].set(jnp.swapaxes(blocks, 1, 2))
+        size = jnp.abs(operator.diagonal()).reshape(pattern.centres, 1, -1)
         ridge = self.ridge * jnp.maximum(size, LEAST * jnp.max(size))
-        return columns.at[:, 0].add(ridge[:, None] * jnp.eye(shape[-1]))
+        return columns.at[:, 0].add(ridge * jnp.eye(shape[-1]))
 
     def compute(self, state, vector, options):
         n, _, m, _ = state.shape

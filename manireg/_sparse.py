@@ -151,5 +151,7 @@ def band_order(
     """Centres of a curve so that those which interact are near each other: along an open
     one, both ways round a closed one (reverse Cuthill-McKee). Host."""
     tree = KDTree(points)
-    near = tree.sparse_distance_matrix(tree, 2 * np.max(radii), output_type="coo_matrix")
+    near = tree.sparse_distance_matrix(
+        tree, 2 * np.max(radii), output_type="coo_matrix"
+    )
     return reverse_cuthill_mckee(near.tocsr(), symmetric_mode=True)[::-1]
