@@ -88,7 +88,7 @@ def profile(setup: Setup) -> Profile:
     ):
         rows.append(Row(stage, best(call, REPEATS), size, size / bandwidth))
     rows += [
-        Row("factorisation and solve, CHOLMOD", factorisation, _size(matrix), factorisation),
+        Row("factor and solve, CHOLMOD", factorisation, _size(matrix), factorisation),
         Row("a Newton iteration", iteration, 3 * jets + places, factorisation),
         Row(f"the fit, {steps} iterations", again, 0, steps * factorisation),
     ]
