@@ -4,8 +4,10 @@ import jax
 import matplotlib
 import pytest
 
-# most of a test is compilation: leave out XLA's optimisation (read when JAX first runs)
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+# Most of a test is compilation: leave out XLA's optimisation and its fusion emitters (half
+# of the rest). Read when JAX first runs; an XLA that no longer knows a flag says so.
+FLAGS = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+os.environ.setdefault("XLA_FLAGS", FLAGS)
 jax.config.update("jax_enable_x64", True)
 matplotlib.use("Agg")
 

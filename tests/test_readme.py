@@ -14,9 +14,9 @@ BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 def two_surfaces():
     """What the README calls `source`, `target` and their landmarks."""
-    source = trimesh.creation.icosphere(3)
+    source = trimesh.creation.icosphere(2)
     target = source.copy().apply_scale([1.0, 1.2, 0.8])
-    landmarks = np.array([0, 40, 80, 160, 320, 500, 640])
+    landmarks = np.array([0, 15, 30, 60, 90, 120, 150])
     return {
         "source": source,
         "target": target,
