@@ -178,27 +178,21 @@ class PointCloud(AbstractManifold):
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
         """Closest point on the patch of the nearest point."""
-        return self._on_patches(lambda patch, p: patch.project(p), p)
+        return _on_patches(self, QuadricPatch.project, p)
 
     def tangent_projection(
         self, p: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        return self._on_patches(lambda n, p, v: n.tangent_projection(p, v), p, v)
+        return _on_patches(self, QuadricPatch.tangent_projection, p, v)
 
     def signed_distance(self, p: Float[Array, "... s"]) -> Float[Array, "..."]:
         """Distance to the surface, positive on the side of the normals."""
-
-        def signed(patch, p):
-            return (p - patch.project(p)) @ patch.unit_normal(p)
-
-        return self._on_patches(signed, p)
+        return _on_patches(self, _signed_distance, p)
 
     def second_fundamental_form(
         self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        return self._on_patches(
-            lambda n, p, u, v: n.second_fundamental_form(p, u, v), p, u, v
-        )
+        return _on_patches(self, QuadricPatch.second_fundamental_form, p, u, v)
 
     def squared_distance(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
@@ -229,10 +223,17 @@ class PointCloud(AbstractManifold):
         shift = jnp.einsum("nsm,nm->ns", self.frames[index], u)
         return self.project(self.points[index] + shift)
 
-    def _on_patches(self, function, *arguments):
-        s = self.points.shape[1]
-        shape = jnp.broadcast_shapes(*(a.shape for a in arguments))
-        flat = [jnp.broadcast_to(a, shape).reshape(-1, s) for a in arguments]
-        patches = self.patches(self.nearest(flat[0]))
-        result = jax.vmap(function)(patches, *flat)
-        return result.reshape(*shape[:-1], *result.shape[1:])
+
+@eqx.filter_jit
+def _on_patches(cloud: PointCloud, function: Callable, *arguments: Array):
+    """`function` of the patches of the points nearest to the first of `arguments`."""
+    s = cloud.points.shape[1]
+    shape = jnp.broadcast_shapes(*(a.shape for a in arguments))
+    flat = [jnp.broadcast_to(a, shape).reshape(-1, s) for a in arguments]
+    patches = cloud.patches(cloud.nearest(flat[0]))
+    result = jax.vmap(function)(patches, *flat)
+    return result.reshape(*shape[:-1], *result.shape[1:])
+
+
+def _signed_distance(patch: QuadricPatch, p):
+    return (p - patch.project(p)) @ patch.unit_normal(p)
