@@ -22,7 +22,9 @@ from ._sources import Source, sampled_dim
 from ._sweep import sweep
 from .manifolds import AbstractManifold
 
-COARSE = 1e-3  # predicted relative decrease of the last Newton step of a fold's fit
+# Predicted relative decrease of the last Newton step of a fold's fit. Measured on curves:
+# folds' scores within 0.02 to 0.5 % of the converged ones (median), as at 1e-3.
+COARSE = 3e-3
 HOPELESS = 2.0  # times the best mean score
 ANCHOR = 1.5  # wavelength where paths start, in spacings of the data
 
