@@ -226,7 +226,8 @@ class PointCloud(AbstractManifold):
 
 @eqx.filter_jit
 def _on_patches(cloud: PointCloud, function: Callable, *arguments: Array):
-    """`function` of the patches of the points nearest to the first of `arguments`."""
+    """`function` of the patches of the points nearest to the first of `arguments`;
+    compiled once a shape, as its iterations would recompile outside of `jit`."""
     s = cloud.points.shape[1]
     shape = jnp.broadcast_shapes(*(a.shape for a in arguments))
     flat = [jnp.broadcast_to(a, shape).reshape(-1, s) for a in arguments]
