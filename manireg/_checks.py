@@ -74,7 +74,7 @@ def check_data(source: Source, target: AbstractManifold, x, y, weights):
             "x, y: some pairs occur twice. Drop the copies, or give repeated "
             "measurements of one value a larger entry in `weights`."
         )
-    y = target.project(jnp.asarray(y).reshape(-1, *target.point_shape))
+    y = projected(target, jnp.asarray(y).reshape(-1, *target.point_shape))
     if weights is None:
         weights = np.ones(len(x))
     weights = np.asarray(weights, dtype=float)

@@ -23,7 +23,7 @@ from ._sweep import sweep
 from .manifolds import AbstractManifold
 
 # Predicted relative decrease of the last Newton step of a fold's fit. 3e-3 saves a fifth
-# of the time; measured on curves, the chosen maps are 1 to 3 % worse.
+# of the time; measured on curves, errors that change mostly grow by 1 to 3 %.
 COARSE = 1e-3
 HOPELESS = 2.0  # times the best mean score
 ANCHOR = 1.5  # wavelength where paths start, in spacings of the data

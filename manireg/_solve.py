@@ -11,7 +11,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
-from ._checks import check_lam, check_points, is_concrete
+from ._checks import check_lam, check_points, is_concrete, projected
 from ._hessian import exact, gauss_newton
 from ._jets import centres_near
 from ._linear_solvers import DirectSolvers, direct_solvers
@@ -56,7 +56,7 @@ class RegressionMap(eqx.Module):
             "x: some points lie outside the support of every centre of the fitted map; "
             "fit with inputs that cover them.",
         )
-        return self.target.project(values.reshape(-1, *self.target.point_shape))
+        return projected(self.target, values.reshape(-1, *self.target.point_shape))
 
 
 def evaluate(
