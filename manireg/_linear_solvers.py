@@ -18,6 +18,8 @@ from jaxtyping import Array, Float
 from ._block_banded import solve_banded
 from ._sparse import SparseSymmetric
 
+SHIFTS = (0.0, 1e-8, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # of the model, by `LeastShift`
+ROUNDING = 1e-8  # a Hessian that needs no more is positive definite
 LEAST = 1e-14  # times the largest number on the diagonal: what is less is zero
 
 
@@ -53,15 +55,12 @@ class SparseCholesky(_AbstractDirect):
 
 
 class BandCholesky(_AbstractDirect):
-    """For the neighbours on a curve; an exact Hessian is assembled. No callback. Where the
-    operator is not positive definite up to `ridge`, the solution is not a number."""
+    """For the neighbours on a curve. No callback. Where the operator is not positive definite up to `ridge`, the solution is not a number."""
 
     ridge: float = 1e-12
 
     def init(self, operator: Any, options):
         del options
-        if not isinstance(operator, SparseSymmetric):
-            operator = operator.assembled()
         pattern, blocks = operator.pattern, operator.blocks
         shape = (pattern.centres, pattern.band, *blocks.shape[1:])
         places = pattern.rows, pattern.cols - pattern.rows
@@ -81,8 +80,8 @@ class ModelCG(_AbstractDirect):
     """Conjugate gradients for an operator that may be indefinite (the exact Hessian),
     preconditioned by the factor of its positive definite `model`. On surfaces a
     factorisation is dear and LU ten times dearer; a dozen products and solves are not,
-    and the factor is that of an earlier Newton step. Gives up, with `singular`, where the
-    curvature is negative."""
+    and the factor is that of an earlier Newton step. Where the curvature is negative it
+    ends, with `singular`; what it has found by then still points downhill."""
 
     positive: SparseCholesky = SparseCholesky()
     rtol: float = 1e-8
@@ -107,7 +106,8 @@ class ModelCG(_AbstractDirect):
             x, r, p, size, _, steps = carry
             product = operator.mv(p)
             curvature = jnp.sum(p * product)
-            length = size / curvature
+            # the first direction alone is downhill in any case
+            length = jnp.where(curvature > 0, size / curvature, 1.0 * (steps == 0))
             x, r = x + length * p, r - length * product
             z = precondition(r)
             new_size = jnp.sum(r * z)
@@ -134,16 +134,37 @@ class DenseCholesky(_AbstractDirect):
         return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
 
-class DenseLU(_AbstractDirect):
-    def init(self, operator, options):
+class LeastShift(_AbstractDirect):
+    """For an exact Hessian, which may be indefinite: as little of its positive definite
+    model is added as makes it definite, so the solution always points downhill. Says
+    `singular` where that is more than rounding."""
+
+    positive: BandCholesky | DenseCholesky
+
+    def init(self, operator: Any, options):
         del options
-        matrix, scale = _dense(operator)
-        return jax.scipy.linalg.lu_factor(matrix), scale
+        return operator.assembled(), operator.model
 
     def compute(self, state, vector, options):
-        factor, scale = state
-        solution = jax.scipy.linalg.lu_solve(factor, _flat(scale, vector))
-        return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
+        exact, model = state
+        shifts = jnp.array(SHIFTS)
+
+        def attempt(carry):
+            _, tries = carry
+            blocks = exact.blocks + shifts[tries] * model.blocks
+            operator = eqx.tree_at(lambda o: o.blocks, exact, blocks)
+            factor = self.positive.init(operator, options)
+            return self.positive.compute(factor, vector, options)[0], tries + 1
+
+        def indefinite(carry):
+            x, tries = carry
+            return (tries < len(SHIFTS)) & ~jnp.all(jnp.isfinite(x))
+
+        start = (jnp.full_like(vector, jnp.nan), 0)
+        x, tries = jax.lax.while_loop(indefinite, attempt, start)
+        definite = (shifts[tries - 1] <= ROUNDING) & jnp.all(jnp.isfinite(x))
+        successful, singular = lx.RESULTS.successful, lx.RESULTS.singular
+        return x, lx.RESULTS.where(definite, successful, singular), {}
 
 
 class DirectSolvers(eqx.Module):
@@ -162,10 +183,10 @@ def direct_solvers(kind: str = "auto", dim: int = 2) -> DirectSolvers:
         kind = "sparse" if jax.default_backend() == "cpu" else "dense"
     if kind == "sparse":
         if dim == 1:
-            return DirectSolvers(BandCholesky(), BandCholesky())
+            return DirectSolvers(BandCholesky(), LeastShift(BandCholesky()))
         return DirectSolvers(SparseCholesky(), ModelCG())
     if kind == "dense":
-        return DirectSolvers(DenseCholesky(), DenseLU())
+        return DirectSolvers(DenseCholesky(), LeastShift(DenseCholesky()))
     raise ValueError(
         f"linear_algebra: expected 'auto', 'sparse' or 'dense', found {kind!r}."
     )

@@ -30,12 +30,15 @@ SETTLED = 1e-2  # share of patches that may still change at the end
 Method = Literal["projected", "penalty"]
 
 
-def newton_minimiser(solvers: DirectSolvers, rtol: float) -> Newton:
+def newton_minimiser(
+    solvers: DirectSolvers, rtol: float, certify: bool = False
+) -> Newton:
     return Newton(
         rtol=rtol,
         atol=0.0,
         model_hessian=gauss_newton,
         exact_hessian=exact,
+        certify=certify,
         model_descent=optx.NewtonDescent(linear_solver=solvers.positive),
         exact_descent=optx.NewtonDescent(linear_solver=solvers.indefinite),
     )

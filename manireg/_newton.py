@@ -1,12 +1,18 @@
-"""A Newton minimiser in optimistix's form: loop x descent x search.
+"""A Newton minimiser in optimistix's form.
 
-optimistix has no Newton minimiser, so this composes one from its parts: the loop below,
-`optx.NewtonDescent` for the direction, `optx.BacktrackingArmijo` for the step. Hessians
-are functions of their own, `(y, args) -> lineax operator`, because they are assembled
-sparse; the exact one is also given the last model, `(y, args, model)`. Far from the
-minimum a Gauss-Newton model, always positive definite, gives the direction; near it the
-exact Hessian, whose convergence is quadratic (measured on curves: 7..15 steps in place of
-8..60).
+optimistix has none, so this composes one: the loop below, `optx.NewtonDescent` for the
+direction. Hessians are functions of their own, `(y, args) -> lineax operator`, because they
+are assembled sparse; the exact one is also given the last model, `(y, args, model)`. Far
+from the minimum a Gauss-Newton model, always positive definite, gives the direction; near
+it the exact Hessian, whose convergence is quadratic (measured on curves: 7..15 steps in
+place of 8..60).
+
+The objective is stiff: a step along a curve's slow bend leaves the valley floor by the
+square of its length, and the next step repairs that at once. A search that never lets the
+objective rise shortens such steps until nothing moves (measured on curves that go on
+beyond their data: 115 trials and more, now 14). So a full step that fails is taken all the
+same, and only if `patience` of them together fail, the search goes back to where they
+began and shortens: the watchdog of Chamberlain, Powell, Lemarechal and Pedersen (1982).
 """
 
 from collections.abc import Callable
@@ -20,6 +26,9 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Int, Scalar
 
 
+KICK = 1e-3  # of the size of y, off a saddle
+
+
 class _Accepted(eqx.Module):
     """What is known at the last accepted point."""
 
@@ -31,38 +40,56 @@ class _Accepted(eqx.Module):
     model: Any
     near: Bool[Array, ""]
     threshold: Scalar
+    saddle: Bool[Array, ""]
     done: Bool[Array, ""]
 
 
+class _Reference(eqx.Module):
+    """Where full steps that need not succeed began."""
+
+    y: Any
+    goal: Scalar
+    """What the objective has to reach."""
+    steps: Int[Array, ""]
+    """Taken since."""
+
+
 class _NewtonState(eqx.Module):
-    # updated every search step
-    first_step: Bool[Array, ""]
+    # updated every trial
     y_eval: Any
-    search_state: Any
+    length: Scalar
+    """Of the step to `y_eval`, as a share of the Newton step."""
+    forced: Bool[Array, ""]
+    """`y_eval` is no step but a start: accepted whatever the objective."""
     shortened: Bool[Array, ""]
     num_trials: Int[Array, ""]
-    # updated after every accepted step
+    # updated after every accepted one
     accepted: _Accepted
+    reference: _Reference
     num_accepted_steps: Int[Array, ""]
     result: optx.RESULTS
 
 
 class Newton(optx.AbstractMinimiser):
-    """Newton's method with Armijo backtracking (paper, section 4).
+    """Newton's method with backtracking (paper, section 4).
 
     **Arguments:**
 
     - `rtol`, `atol`: stop when the decrease predicted by the full Newton step,
       half of g^T H^{-1} g, is below `atol + rtol |f|`.
+    - `noise`: rounding of the objective f in units of `sqrt |f|`. Where a shorter step
+      fails although it promises less than that, rounding is all that is left: success.
     - `model_hessian`, `model_descent`: the positive definite model, and the descent that
       holds its linear solver.
     - `exact_hessian`, `exact_descent`: the same for the exact Hessian, tried once the
       predicted decrease has come below `near |f|`, and taken if it points downhill. Where
       such a step has to be shortened, the minimum is flat or not near yet: the model goes
-      on until the decrease is `retry` times smaller (measured on curves under large
-      lambdas: 20 to 40 trials in place of 256 and no end).
-    - `search`: the step size rule; lengths are shares of the Newton step, of the model's
-      times the `stretch` below.
+      on until the decrease is `retry` times smaller. Its solver says `singular` where the
+      Hessian is not positive definite.
+    - `certify`: stop only where the exact Hessian is positive definite. A stationary point
+      where it is not is left with a kick of `KICK` times the size of y.
+    - `slope`: a step has to bring this share of what its slope promises.
+    - `patience`: full steps that may fail, in a row.
     - `longest`: the model overestimates the curvature where the residuals curve back. A
       step along the model's direction is stretched by the model's curvature over the
       objective's, seen along the last step, from 1 to at most `longest` (measured on
@@ -76,10 +103,13 @@ class Newton(optx.AbstractMinimiser):
     exact_hessian: Callable
     model_descent: optx.AbstractDescent
     exact_descent: optx.AbstractDescent
-    search: optx.AbstractSearch = optx.BacktrackingArmijo(slope=1e-4)
     norm: Callable[[Any], Scalar] = optx.max_norm
+    noise: float = 0.0
+    certify: bool = eqx.field(static=True, default=False)
     near: float = 1e-3
     retry: float = 0.1
+    slope: float = 1e-4
+    patience: int = 3
     longest: float = 4.0
     min_step: float = 1e-8
 
@@ -88,40 +118,38 @@ class Newton(optx.AbstractMinimiser):
         f_info = optx.FunctionInfo.EvalGrad(f_struct, grad)
         hessian = eqx.filter_eval_shape(self.model_hessian, y, args)
         with_hessian = optx.FunctionInfo.EvalGradHessian(f_struct, grad, hessian)
+        zero, false = jnp.zeros((), f_struct.dtype), jnp.array(False)
         return _NewtonState(
-            first_step=jnp.array(True),
             y_eval=y,
-            search_state=self.search.init(y, f_info),
-            shortened=jnp.array(False),
+            length=jnp.ones_like(zero),
+            forced=jnp.array(True),
+            shortened=false,
             num_trials=jnp.array(0),
             accepted=_Accepted(
                 f_info=_zeros(f_info),
                 aux=_zeros(aux_struct),
                 descent_state=self.model_descent.init(y, with_hessian),
-                stretch=jnp.ones(()),
-                decrease=jnp.zeros(()),
+                stretch=jnp.ones_like(zero),
+                decrease=zero,
                 model=_zeros(hessian),
-                near=jnp.array(False),
+                near=false,
                 threshold=jnp.asarray(self.near, f_struct.dtype),
-                done=jnp.array(False),
+                saddle=false,
+                done=false,
             ),
+            reference=_Reference(y, zero, jnp.array(0)),
             num_accepted_steps=jnp.array(0),
             result=optx.RESULTS.successful,
         )
 
     def step(self, fn, y, args, options, state, tags):
-        last = state.accepted
+        last, reference = state.accepted, state.reference
         f_eval, vjp, aux_eval = jax.vjp(
             lambda y: fn(y, args), state.y_eval, has_aux=True
         )
-        step_size, accept, search_result, search_state = self.search.step(
-            state.first_step,
-            y,
-            state.y_eval,
-            last.f_info,
-            optx.FunctionInfo.Eval(f_eval),
-            state.search_state,
-        )
+        enough = state.forced | (f_eval <= reference.goal)
+        patient = (state.length == 1) & (reference.steps < self.patience)
+        accept = enough | (patient & jnp.isfinite(f_eval))
 
         def accepted():
             (grad,) = vjp(jnp.ones_like(f_eval))
@@ -132,8 +160,7 @@ class Newton(optx.AbstractMinimiser):
                 new_state = descent.query(state.y_eval, info, last.descent_state)
                 step, result = descent.step(jnp.ones_like(f_eval), new_state)
                 decrease = -0.5 * f_info.compute_grad_dot(step)
-                solved = result == optx.RESULTS.successful
-                return new_state, jnp.where(solved, decrease, -1.0)
+                return new_state, decrease, result == optx.RESULTS.successful
 
             def query_exact():
                 hessian = self.exact_hessian(state.y_eval, args, last.model)
@@ -143,13 +170,15 @@ class Newton(optx.AbstractMinimiser):
                 hessian = self.model_hessian(state.y_eval, args)
                 return *query(self.model_descent, hessian), hessian
 
-            exact = jax.lax.cond(
-                last.near & ~state.shortened,
-                query_exact,
-                lambda: (last.descent_state, jnp.full_like(f_eval, -1.0), last.model),
-            )
-            downhill = jnp.isfinite(exact[1]) & (exact[1] > 0)
-            descent_state, decrease, model = jax.lax.cond(
+            def nothing():
+                no = jnp.full_like(f_eval, -1.0)
+                return last.descent_state, no, jnp.array(False), last.model
+
+            exact_tried = last.near & ~state.shortened
+            exact = jax.lax.cond(exact_tried, query_exact, nothing)
+            _, decrease, convex, _ = exact
+            downhill = jnp.isfinite(decrease) & (decrease > 0)
+            descent_state, decrease, _, model = jax.lax.cond(
                 downhill, lambda: exact, query_model
             )
             threshold = jnp.where(
@@ -157,11 +186,12 @@ class Newton(optx.AbstractMinimiser):
                 self.retry * decrease / jnp.abs(f_eval),
                 last.threshold,
             )
-            near = decrease < threshold * jnp.abs(f_eval)
             stretch = jnp.where(downhill, 1.0, self._stretch(y, f_eval, state))
             rounding = 8 * jnp.finfo(f_eval.dtype).eps * jnp.abs(f_eval)
             tolerance = self.atol + self.rtol * jnp.abs(f_eval) + rounding
-            done = decrease <= tolerance
+            still = decrease <= tolerance
+            near = still | (decrease < threshold * jnp.abs(f_eval))
+            minimum = (downhill & convex) if self.certify else True
             return state.y_eval, _Accepted(
                 f_info,
                 aux_eval,
@@ -171,24 +201,54 @@ class Newton(optx.AbstractMinimiser):
                 model,
                 near,
                 threshold,
-                done,
+                still & exact_tried & ~convex,
+                still & minimum,
             )
 
         y, now = jax.lax.cond(accept, accepted, lambda: (y, last))
-        length = now.stretch * step_size
-        step, descent_result = self.model_descent.step(length, now.descent_state)
-        result = optx.RESULTS.where(
-            search_result == optx.RESULTS.successful, descent_result, search_result
+        # back to the reference where patience ends; from there, shorter
+        back = ~accept & (reference.steps > 0)
+        shorter = ~accept & ~back
+        length = jnp.where(shorter, state.length / 2, 1.0)
+        returned = state.forced & state.shortened
+        length = jnp.where(returned, 0.5, length)
+        step, _ = self.model_descent.step(
+            now.stretch * length, now.descent_state
         )
-        stalled = ~accept & (step_size < self.min_step)
-        result = optx.RESULTS.where(stalled, optx.RESULTS.nonlinear_divergence, result)
+        goal = now.f_info.f - self.slope * 2 * now.decrease * now.stretch * length
+        steps = jnp.where(enough | shorter, 0, reference.steps + accept)
+        new_reference = _Reference(
+            jtu.tree_map(lambda a, b: jnp.where(enough, a, b), y, reference.y),
+            jnp.where(enough | shorter, goal, reference.goal),
+            steps,
+        )
+        at_rounding = shorter & (
+            now.decrease <= self.noise * jnp.sqrt(jnp.abs(now.f_info.f))
+        )
+        now = eqx.tree_at(lambda a: a.done, now, now.done | at_rounding)
+        kick = accept & now.saddle & self.certify
+        y_eval = jtu.tree_map(
+            lambda y, step, origin: jnp.where(
+                back,
+                origin,
+                jnp.where(at_rounding, y, y + step + jnp.where(kick, _kick(y), 0.0)),
+            ),
+            y,
+            step,
+            reference.y,
+        )
+        stalled = shorter & (length < self.min_step)
+        result = optx.RESULTS.where(
+            stalled, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful
+        )
         new_state = _NewtonState(
-            first_step=jnp.array(False),
-            y_eval=jtu.tree_map(jnp.add, y, step),
-            search_state=search_state,
+            y_eval=y_eval,
+            length=length,
+            forced=back | kick,
             shortened=~accept,
             num_trials=state.num_trials + 1,
             accepted=now,
+            reference=new_reference,
             num_accepted_steps=state.num_accepted_steps + accept,
             result=result,
         )
@@ -204,7 +264,8 @@ class Newton(optx.AbstractMinimiser):
         seen = 2 * (f_eval - last.f_info.f - slope)
         expected = slope**2 / (2 * jnp.where(slope == 0, 1.0, last.decrease))
         ratio = expected / jnp.maximum(seen, expected / self.longest)
-        return jnp.where(slope == 0, 1.0, jnp.maximum(ratio, 1.0))
+        alike = (slope != 0) & ~state.forced
+        return jnp.where(alike, jnp.maximum(ratio, 1.0), 1.0)
 
     def terminate(self, fn, y, args, options, state, tags):
         return state.accepted.done, state.result
@@ -225,6 +286,12 @@ def add_counts(stats: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
     """`stats` of a solve, with the steps of one before it."""
     counts = ("num_newton_steps", "num_trials", "num_steps")
     return {**stats, **{name: stats[name] + before[name] for name in counts}}
+
+
+def _kick(y):
+    """A small random displacement, always the same."""
+    size = KICK * jnp.sqrt(jnp.mean(y**2))
+    return size * jax.random.normal(jax.random.key(0), y.shape, y.dtype)
 
 
 def _zeros(struct):

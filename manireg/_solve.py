@@ -148,7 +148,7 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     fixed = jax.lax.stop_gradient(eqx.filter(problem, eqx.is_array))
     fixed = eqx.combine(fixed, problem)
     frozen_lam = jax.lax.stop_gradient(lam)
-    newton = newton_minimiser(solvers, rtol)
+    newton = newton_minimiser(solvers, rtol, certify=True)
     arrays, rest = eqx.partition((fixed, frozen_lam, warm), eqx.is_array)
 
     # In lockstep all lanes of a vmap would wait for the slowest, and take both branches of
