@@ -27,7 +27,7 @@ from ._objective import (
     residuals,
     strengths,
 )
-from ._problem import Problem
+from ._problem import Problem, psi_jets
 from ._sparse import SparseSymmetric, declare_symmetric
 
 CHUNK_POINTS = 768  # differentiated at a time
@@ -99,7 +99,7 @@ def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
         return of_element
 
     problem, rows, local = stage.problem, _rows(stage), stage.local
-    jets = [jet_values(j, w) for j in (problem.energy_jets, problem.data_jets)]
+    jets = [psi_jets(problem, j, w) for j in (problem.energy_jets, problem.data_jets)]
     energy = _each_element(
         gram(weighted, rows),
         local and local.at_quadrature,
@@ -132,7 +132,7 @@ def exact(
         return of_element
 
     problem, rows, local = stage.problem, _rows(stage), stage.local
-    jets = [jet_values(j, w) for j in (problem.energy_jets, problem.data_jets)]
+    jets = [psi_jets(problem, j, w) for j in (problem.energy_jets, problem.data_jets)]
     y = problem.y[problem.data_jets.index]
     energy = _each_element(
         hessian(density, rows),

@@ -41,11 +41,6 @@ def jet_values(jets: Jets, w: Float[Array, "KC t"]) -> Float[Array, "e p J t"]:
     return jnp.einsum("epju,eut->epjt", jets.matrices, w[jets.columns])
 
 
-def values_at_data(jets: Jets, w: Float[Array, "KC t"], k: int) -> Float[Array, "k t"]:
-    """Values of the map at the k points of `jets`, in their own order."""
-    return in_order(jets, jet_values(jets, w)[:, :, 0], k)
-
-
 def in_order(jets: Jets, values: Float[Array, "e p t"], k: int) -> Float[Array, "k t"]:
     """What the elements hold of k points, in the points' own order."""
     values = values * jets.mask[:, :, None]

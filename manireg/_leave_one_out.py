@@ -14,13 +14,14 @@ from tqdm.auto import tqdm
 from ._checks import check_lam
 from ._densities import project_flat
 from ._hessian import gauss_newton
-from ._jets import in_order, jet_values
+from ._jets import in_order
 from ._linear_solvers import DirectSolvers, direct_solvers
 from ._minimise import minimise, newton_minimiser, stage_of
 from ._objective import Stage, at_data, objective
-from ._problem import Problem
+from ._problem import Problem, psi_jets
 from ._selection import CrossValidation, lambda_of_wavelength, mean_spacing
-from ._solve import RegressionMap, free_solution
+from ._solve import RegressionMap, regression_map
+from ._starts import free_solution
 
 LONGEST = 2.7  # wavelength at the top of the default grid, in spacings of the data
 VALUES, RATIO = 5, 3.4  # of it: down to wavelengths of 0.8 spacings
@@ -131,9 +132,7 @@ def _fit_and_score(problem: Problem, lam, w, solvers: DirectSolvers, max_steps: 
     )
     stage = stage_of(problem, lam, gamma, "projected", w)
     _, energies = objective(w, stage)
-    model = RegressionMap(
-        problem.source, problem.target, problem.basis, w, lam, energies, result, stats
-    )
+    model = regression_map(problem, w, lam, energies, result, stats)
     errors = left_out_errors(w, stage, solvers)
     return model, errors * problem.weights / jnp.mean(problem.weights)
 
@@ -144,7 +143,7 @@ def left_out_errors(
     """Length of each datum's residual in the fit without it, to first order."""
     problem = stage.problem
     jets, k, t = problem.data_jets, len(problem.y), problem.y.shape[1]
-    values = jet_values(jets, w)[:, :, 0]
+    values = psi_jets(problem, jets, w)[:, :, 0]
     slope = lambda target, psi: jax.jacfwd(lambda psi: project_flat(target, psi))(psi)
     residual = at_data(stage, project_flat, values) - problem.y[jets.index]
     projection = at_data(stage, slope, values)

@@ -55,7 +55,8 @@ class SparseCholesky(_AbstractDirect):
 
 
 class BandCholesky(_AbstractDirect):
-    """For the neighbours on a curve. No callback. Where the operator is not positive definite up to `ridge`, the solution is not a number."""
+    """For the neighbours on a curve. No callback. Where the operator is not positive
+    definite up to `ridge`, the solution is not a number."""
 
     ridge: float = 1e-12
 

@@ -8,8 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from ._jets import jet_values
-from ._problem import Problem
+from ._problem import Problem, psi_jets
 from .manifolds import PointCloud
 from .manifolds._quadric_patch import QuadricPatch
 
@@ -40,7 +39,7 @@ def local_target(
     if not isinstance(cloud, PointCloud):
         return None
     families = (problem.energy_jets, problem.data_jets)
-    values = [jet_values(jets, w)[:, :, 0] for jets in families]
+    values = [psi_jets(problem, jets, w)[:, :, 0] for jets in families]
     nearest = [cloud.nearest(psi) for psi in values]
     if held is not None:
         gap = lambda psi, i: jnp.linalg.norm(psi - cloud.points[i], axis=-1)

@@ -1,11 +1,11 @@
 """A Newton minimiser in optimistix's form.
 
 optimistix has none, so this composes one: the loop below, `optx.NewtonDescent` for the
-direction. Hessians are functions of their own, `(y, args) -> lineax operator`, because they
-are assembled sparse; the exact one is also given the last model, `(y, args, model)`. Far
-from the minimum a Gauss-Newton model, always positive definite, gives the direction; near
-it the exact Hessian, whose convergence is quadratic (measured on curves: 7..15 steps in
-place of 8..60).
+direction. Hessians are functions of their own, `(y, args) -> lineax operator`, because
+they are assembled sparse; the exact one is also given the last model, `(y, args, model)`.
+Far from the minimum a Gauss-Newton model, always positive definite, gives the direction;
+near it the exact Hessian, whose convergence is quadratic (measured on curves: 7..15 steps
+in place of 8..60).
 
 The objective is stiff: a step along a curve's slow bend leaves the valley floor by the
 square of its length, and the next step repairs that at once. A search that never lets the
@@ -24,7 +24,6 @@ import jax.numpy as jnp
 import jax.tree_util as jtu
 import optimistix as optx
 from jaxtyping import Array, Bool, Int, Scalar
-
 
 KICK = 1e-3  # of the size of y, off a saddle
 
@@ -212,9 +211,7 @@ class Newton(optx.AbstractMinimiser):
         length = jnp.where(shorter, state.length / 2, 1.0)
         returned = state.forced & state.shortened
         length = jnp.where(returned, 0.5, length)
-        step, _ = self.model_descent.step(
-            now.stretch * length, now.descent_state
-        )
+        step, _ = self.model_descent.step(now.stretch * length, now.descent_state)
         goal = now.f_info.f - self.slope * 2 * now.decrease * now.stretch * length
         steps = jnp.where(enough | shorter, 0, reference.steps + accept)
         new_reference = _Reference(

@@ -23,9 +23,8 @@ from ._densities import (
     projected_residual,
     tension_residual,
 )
-from ._jets import jet_values
 from ._local_target import LocalTarget
-from ._problem import Problem
+from ._problem import Problem, psi_jets
 from .manifolds import AbstractManifold
 
 
@@ -128,13 +127,13 @@ def objective(
     w: Float[Array, "KC t"], stage: Stage
 ) -> tuple[Float[Array, ""], Energies]:
     problem = stage.problem
-    jets = jet_values(problem.energy_jets, w)
+    jets = psi_jets(problem, problem.energy_jets, w)
     both = functools.partial(densities, stage)
     bending, gaps = at_quadrature(stage, both, jets, *strengths(problem))
     eells = jnp.sum(problem.energy_weights * bending)
     penalty = jnp.sum(problem.energy_weights * gaps)
 
-    values = jet_values(problem.data_jets, w)[:, :, 0]
+    values = psi_jets(problem, problem.data_jets, w)[:, :, 0]
     y = problem.y[problem.data_jets.index]
     loss = jnp.sum(data_weights(problem) * at_data(stage, geodesic_loss, values, y))
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from ._checks import check_data, check_tension, check_x64
 from ._domain import Domain, centres_of, discretise
 from ._farthest_points import local_spacings
-from ._jets import Jets, bucket_centres, jets_of, value_jets
+from ._jets import Jets, bucket_centres, in_order, jet_values, jets_of, value_jets
 from ._local_polynomials import LocalPolynomials, local_polynomials
 from ._sources import Ambient, Source, sampled, sampled_dim
 from ._sparse import SparsityPattern, band_order, sparsity
@@ -38,6 +38,8 @@ class Problem(eqx.Module):
     x: Float[Array, "k s"]
     y: Float[Array, "k t"]
     weights: Float[Array, " k"]
+    origin: Float[Array, " t"]
+    """Psi = origin + A w: data far from zero cost no digits."""
     pattern: SparsityPattern
     energy_places: tuple[Int[Array, "_ _"], ...]
     """For each bucket of elements, where its pairs of centres are in the pattern."""
@@ -47,6 +49,17 @@ class Problem(eqx.Module):
     @property
     def volume(self) -> Float[Array, ""]:
         return jnp.sum(self.energy_weights)
+
+
+def psi_jets(problem: Problem, jets: Jets, w: Float[Array, "KC t"]):
+    """Jets of Psi = origin + A w, `(e, p, J, t)`."""
+    return jet_values(jets, w).at[:, :, 0].add(problem.origin)
+
+
+def psi_at_data(problem: Problem, w: Float[Array, "KC t"]) -> Float[Array, "k t"]:
+    """In the order of the data."""
+    values = psi_jets(problem, problem.data_jets, w)[:, :, 0]
+    return in_order(problem.data_jets, values, len(problem.y))
 
 
 def make_problem(
@@ -122,7 +135,7 @@ def make_problem(
         spacing = local_spacings(np.asarray(nodes.points), m)
     else:
         spacing = (jnp.sum(domain.weights) / len(nodes.points)) ** (1 / m)
-    basis = local_polynomials(nodes, width * spacing, degree)
+    basis = local_polynomials(nodes, width * spacing, degree, domain)
     if m == 1:
         order = band_order(np.asarray(basis.centres), np.asarray(basis.widths))
         basis = jax.tree.map(lambda a: a[order], basis)
@@ -151,6 +164,7 @@ def assemble_problem(
         x=x,
         y=y,
         weights=weights,
+        origin=jnp.mean(y, axis=0),
         pattern=pattern,
         energy_places=energy_places,
         data_places=data_places,

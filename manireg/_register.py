@@ -116,7 +116,7 @@ def register(
             tension=tau,
         )
         nothing = jnp.zeros((problem.pattern.size, 3))
-        if not evaluate(problem.basis, nothing, jnp.asarray(start))[1]:
+        if not evaluate(problem.basis, nothing, jnp.asarray(start), problem.origin)[1]:
             raise ValueError(
                 "source: some vertices lie outside the support of every centre. Drop "
                 "vertices that no triangle uses (mesh.remove_unreferenced_vertices()), or "
@@ -131,7 +131,7 @@ def register(
             found.append((model, None))
     model, cv = min(found, key=lambda fit: _predicted_error(fit[1]))
     image = onto.project(
-        evaluate(model.basis, model.coefficients, jnp.asarray(start))[0]
+        evaluate(model.basis, model.coefficients, jnp.asarray(start), model.origin)[0]
     )
     errors = np.linalg.norm(np.asarray(model(x)) - y, axis=1)
     return Registration(np.asarray(image), model, cv, errors, start, faces)

@@ -12,13 +12,13 @@ from tqdm.auto import tqdm
 
 from ._checks import check_lam
 from ._folds import GRID, evaluated, held_out_error, training_sets
-from ._jets import values_at_data
 from ._linear_solvers import direct_solvers
 from ._minimise import gauge, minimise, newton_minimiser, stage_of
 from ._objective import objective
-from ._problem import Problem, make_problem
-from ._solve import RegressionMap, free_solution, solve
+from ._problem import Problem, make_problem, psi_at_data
+from ._solve import RegressionMap, solve
 from ._sources import Source, sampled_dim
+from ._starts import free_solution
 from ._sweep import sweep
 from .manifolds import AbstractManifold
 
@@ -230,6 +230,6 @@ def _lowest(w: Float[Array, "folds KC t"], problem: Problem, lam):
 
 
 def _score(problem: Problem, inside, w) -> Float[Array, ""]:
-    values = values_at_data(problem.data_jets, w, len(problem.y))
+    values = psi_at_data(problem, w)
     predicted = problem.target.project(values.reshape(-1, *problem.target.point_shape))
     return held_out_error(problem.target, predicted, problem.y, problem.weights, inside)

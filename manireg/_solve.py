@@ -20,7 +20,8 @@ from ._minimise import Method, minimise, newton_minimiser, stage_of
 from ._objective import Energies, Stage, objective
 from ._problem import Problem
 from ._sources import Source
-from .manifolds import AbstractManifold, Euclidean
+from ._starts import starts_of
+from .manifolds import AbstractManifold
 
 STARTS = (1.0, 1e-2)
 
@@ -31,7 +32,9 @@ class RegressionMap(eqx.Module):
     source: Source
     target: AbstractManifold
     basis: LocalPolynomials
+    origin: Float[Array, " t"]
     coefficients: Float[Array, "KC t"]
+    """Of the basis, for what comes to `origin`."""
     lam: Float[Array, ""]
     energies: Energies
     result: optx.RESULTS
@@ -49,7 +52,7 @@ class RegressionMap(eqx.Module):
         else:
             points = jnp.asarray(x)
             flat = points.reshape(len(points), -1)
-        values, covered = evaluate(self.basis, self.coefficients, flat)
+        values, covered = evaluate(self.basis, self.coefficients, flat, self.origin)
         values = eqx.error_if(
             values,
             ~covered,
@@ -60,28 +63,39 @@ class RegressionMap(eqx.Module):
 
 
 def evaluate(
-    basis: LocalPolynomials, w: Float[Array, "KC t"], x: Float[Array, "n s"]
+    basis: LocalPolynomials,
+    w: Float[Array, "KC t"],
+    x: Float[Array, "n s"],
+    origin: Float[Array, " t"],
 ) -> tuple[Float[Array, "n t"], Array]:
     """Psi at `x`, before the projection to N; and whether all of `x` is covered. Traced
     points are compared with all centres, others only with those near them."""
     concrete = is_concrete(x, basis.centres, basis.widths)
     near = jnp.asarray(centres_near(basis, np.asarray(x))) if concrete else None
-    return _evaluate(basis, w, x, near)
+    return _evaluate(basis, w, x, origin, near)
 
 
 @eqx.filter_jit
-def _evaluate(basis, w, x, near):
+def _evaluate(basis, w, x, origin, near):
     everywhere = jnp.arange(len(basis.centres))
     w = w.reshape(len(basis.centres), basis.size, -1)
 
     def one(x, near=everywhere):
         values = basis_values(basis, x, near).reshape(len(near), -1)
         psi = jnp.einsum("lc,lct->t", values, w[near])
-        return psi, cover(basis, x, near) > 1e-6
+        return origin + psi, cover(basis, x, near) > 1e-6
 
     points = (x,) if near is None else (x, near)
     values, covered = jax.lax.map(lambda point: one(*point), points, batch_size=256)
     return values, jnp.all(covered)
+
+
+def regression_map(
+    problem: Problem, w: Float[Array, "KC t"], lam, energies, result, stats
+) -> RegressionMap:
+    """The map with coefficients `w`."""
+    parts = problem.source, problem.target, problem.basis, problem.origin
+    return RegressionMap(*parts, w, lam, energies, result, stats)
 
 
 def solve(
@@ -156,8 +170,7 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     @jax.custom_batching.sequential_vmap
     def lowest(arrays):
         problem, lam, warm = eqx.combine(arrays, rest)
-        free = lambda factor: free_solution(problem, factor * lam, solvers)
-        w0 = [jax.lax.map(free, jnp.array(starts))] if starts else []
+        w0 = [starts_of(problem, lam, starts, method, solvers)] if starts else []
         candidates = jax.lax.map(
             lambda w0: minimise(problem, lam, w0, method, newton, max_steps),
             jnp.concatenate(w0 + ([] if warm is None else [warm[None]])),
@@ -169,39 +182,7 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     stage = stage_of(problem, lam, gamma, method, jax.lax.stop_gradient(w))
     w = _implicit(stage, w, solvers)
     _, energies = objective(w, stage)
-    return RegressionMap(
-        problem.source, problem.target, problem.basis, w, lam, energies, result, stats
-    )
-
-
-def free_solution(
-    problem: Problem, lam: ScalarLike, solvers: DirectSolvers
-) -> Float[Array, "KC t"]:
-    """The minimiser with N = R^t: a thin-plate spline, one linear solve."""
-    free = free_problem(problem)
-    w = jnp.zeros((problem.pattern.size, problem.y.shape[1]))
-    stage = Stage(free, lam, 0.0, False)
-    gradient = jax.grad(lambda w: objective(w, stage)[0])(w)
-    # every coordinate has the same matrix
-    one = eqx.tree_at(lambda s: s.problem, stage, _first_coordinate(free))
-    factor = solvers.positive.init(gauss_newton(w[:, :1], one), {})
-    return -solvers.positive.compute(factor, gradient[:, None], {})[0][:, 0]
-
-
-def _first_coordinate(problem: Problem) -> Problem:
-    where = lambda p: (p.target, p.y)
-    one = eqx.tree_at(where, problem, (Euclidean(1), problem.y[:, :1]))
-    if problem.tension is None:
-        return one
-    derivative = problem.tension.derivative[:, :1]
-    return eqx.tree_at(lambda p: p.tension.derivative, one, derivative)
-
-
-def free_problem(problem: Problem) -> Problem:
-    """The same data, ambient space as the target."""
-    where = lambda p: (p.target, p.energy_jets)
-    ambient = Euclidean(problem.y.shape[1])
-    return eqx.tree_at(where, problem, (ambient, problem.free_jets))
+    return regression_map(problem, w, lam, energies, result, stats)
 
 
 @eqx.filter_custom_jvp
@@ -217,4 +198,6 @@ def _(primals, tangents):
     _, moved = eqx.filter_jvp(gradient, (stage,), (tangents[0],))
     hessian = exact(w, stage, gauss_newton(w, stage))
     # no `throw`: it would be a callback, and those neither run on every device nor cache
-    return w, -lx.linear_solve(hessian, moved, solvers.indefinite, throw=False).value
+    solution = lx.linear_solve(hessian, moved, solvers.indefinite, throw=False)
+    solved = solution.result == lx.RESULTS.successful
+    return w, -jnp.where(solved, solution.value, jnp.nan)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import manireg as mr
 from manireg._linear_solvers import direct_solvers
 from manireg._objective import Stage, objective
-from manireg._solve import free_solution
+from manireg._starts import free_solution
 
 UNIT = mr.Interval(0, 1)
 SPHERE = mr.Sphere(2)

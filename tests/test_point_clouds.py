@@ -11,7 +11,7 @@ from manireg._domain import discretise
 from manireg._jets import jet_values
 from manireg._linear_solvers import direct_solvers
 from manireg._local_target import local_target, moved
-from manireg._solve import free_solution
+from manireg._starts import free_solution
 from manireg.manifolds._quadric_patch import QuadricPatch
 
 

@@ -12,7 +12,8 @@ from scipy.integrate import dblquad
 import manireg as mr
 from manireg._domain import discretise
 from manireg._linear_solvers import direct_solvers
-from manireg._solve import evaluate, free_solution
+from manireg._solve import evaluate
+from manireg._starts import free_solution
 
 pytestmark = pytest.mark.slow  # minutes of compilation
 

@@ -18,7 +18,7 @@ from manireg._hessian import exact, gauss_newton
 from manireg._linear_solvers import direct_solvers
 from manireg._objective import Stage, objective
 from manireg._problem import assemble_problem
-from manireg._solve import free_solution
+from manireg._starts import free_solution
 
 TORUS = mr.FlatTorus(2, jnp.array([1.0, 2.0]))
 ROTATIONS = mr.manifolds.SpecialOrthogonal(3)

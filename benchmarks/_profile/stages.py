@@ -17,7 +17,7 @@ from manireg._linear_solvers import direct_solvers
 from manireg._minimise import gauge, stage_of
 from manireg._objective import objective
 from manireg._problem import pattern_of
-from manireg._solve import free_solution
+from manireg._starts import free_solution
 
 from .problems import Setup
 

@@ -9,13 +9,13 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, ScalarLike
 
 from .._checks import check_lam
 from .._folds import evaluated, held_out_error, training_sets
-from .._jets import values_at_data
 from .._linear_solvers import DirectSolvers, direct_solvers
 from .._local_polynomials import LocalPolynomials
-from .._problem import Problem, make_problem
+from .._problem import Problem, make_problem, psi_at_data
 from .._selection import lambda_grid
-from .._solve import evaluate, free_solution
+from .._solve import evaluate
 from .._sources import Source
+from .._starts import free_solution
 from ..manifolds import AbstractManifold
 from ._inputs import check_choice, flat_inputs
 
@@ -26,6 +26,7 @@ class ProjectedThinPlate(eqx.Module):
     source: Source
     target: AbstractManifold
     basis: LocalPolynomials
+    origin: Float[Array, " t"]
     coefficients: Float[Array, "KC t"]
     lam: Float[Array, ""]
     lams: Float[Array, " lams"]
@@ -37,7 +38,7 @@ class ProjectedThinPlate(eqx.Module):
     def ambient(self, x: ArrayLike) -> Float[Array, "n *point_shape"]:
         """The spline itself, before the projection."""
         flat = flat_inputs(self.source, x)
-        values, covered = evaluate(self.basis, self.coefficients, flat)
+        values, covered = evaluate(self.basis, self.coefficients, flat, self.origin)
         values = eqx.error_if(
             values, ~covered, "x: some points lie outside the cover of the fitted map."
         )
@@ -90,7 +91,14 @@ def projected_thin_plate(
     solvers = direct_solvers(linear_algebra)
     spline = eqx.filter_jit(free_solution)
     build = lambda lam, grid, scores: ProjectedThinPlate(
-        source, target, problem.basis, spline(problem, lam, solvers), lam, grid, scores
+        source,
+        target,
+        problem.basis,
+        problem.origin,
+        spline(problem, lam, solvers),
+        lam,
+        grid,
+        scores,
     )
     if lam is not None:
         check_lam(lam)
@@ -117,7 +125,7 @@ def _scores(
     def one(fold, lam):
         inside = eqx.tree_at(lambda p: p.weights, problem, problem.weights * fold)
         w = free_solution(inside, lam, solvers)
-        values = values_at_data(problem.data_jets, w, len(problem.y))
+        values = psi_at_data(problem, w)
         shape = problem.target.point_shape
         predicted = problem.target.project(values.reshape(-1, *shape))
         return held_out_error(
