@@ -19,9 +19,10 @@ from ._linear_solvers import DirectSolvers, direct_solvers
 from ._minimise import minimise, newton_minimiser, stage_of
 from ._objective import Stage, at_data, objective
 from ._problem import Problem, psi_jets
-from ._selection import CrossValidation, lambda_of_wavelength, mean_spacing
+from ._selection import CrossValidation
 from ._solve import RegressionMap, regression_map
 from ._starts import free_solution
+from ._wavelengths import lambda_of_wavelength, mean_spacing
 
 LONGEST = 2.7  # wavelength at the top of the default grid, in spacings of the data
 VALUES, RATIO = 5, 3.4  # of it: down to wavelengths of 0.8 spacings

@@ -6,6 +6,7 @@ hardly sees (the gauge of the basis), and it is a term of the Newton step, not o
 objective: the minimiser stays where it is.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -18,8 +19,8 @@ from jaxtyping import Array, Float
 from ._block_banded import solve_banded
 from ._sparse import SparseSymmetric
 
-SHIFTS = (0.0, 1e-8, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # of the model, by `LeastShift`
-ROUNDING = 1e-8  # a Hessian that needs no more is positive definite
+RIDGES = (1e-14, 1e-12, 1e-10)  # times the diagonal, tried in turn
+SHIFTS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # times the model, by `LeastShift`
 LEAST = 1e-14  # times the largest number on the diagonal: what is less is zero
 
 
@@ -55,25 +56,29 @@ class SparseCholesky(_AbstractDirect):
 
 
 class BandCholesky(_AbstractDirect):
-    """For the neighbours on a curve. No callback. Where the operator is not positive
-    definite up to `ridge`, the solution is not a number."""
+    """For the neighbours on a curve. No callback. The ridge is the first of `RIDGES` that
+    makes the operator positive definite to rounding; where none does, the solution is not
+    a number."""
 
-    ridge: float = 1e-12
-
-    def init(self, operator: Any, options):
+    def init(self, operator: SparseSymmetric, options):
         del options
         pattern, blocks = operator.pattern, operator.blocks
         shape = (pattern.centres, pattern.band, *blocks.shape[1:])
         places = pattern.rows, pattern.cols - pattern.rows
         columns = jnp.zeros(shape).at[places].set(jnp.swapaxes(blocks, 1, 2))
         size = jnp.abs(operator.diagonal()).reshape(pattern.centres, 1, -1)
-        ridge = self.ridge * jnp.maximum(size, LEAST * jnp.max(size))
-        return columns.at[:, 0].add(ridge * jnp.eye(shape[-1]))
+        return columns, jnp.maximum(size, LEAST * jnp.max(size))
 
     def compute(self, state, vector, options):
-        n, _, m, _ = state.shape
+        columns, size = state
+        n, _, m, _ = columns.shape
         rhs = jnp.swapaxes(vector.reshape(n, m, -1), 1, 2)
-        solution = jnp.swapaxes(solve_banded(state, rhs), 1, 2)
+
+        def solve(ridge):
+            regular = columns.at[:, 0].add(ridge * size * jnp.eye(m))
+            return solve_banded(regular, rhs)
+
+        solution = jnp.swapaxes(_with_least_ridge(solve, rhs), 1, 2)
         return solution.reshape(vector.shape), lx.RESULTS.successful, {}
 
 
@@ -122,23 +127,43 @@ class ModelCG(_AbstractDirect):
 
 
 class DenseCholesky(_AbstractDirect):
-    ridge: float = 1e-12
+    """The same of a whole matrix."""
 
-    def init(self, operator, options):
+    def init(self, operator: SparseSymmetric, options):
         del options
-        matrix, scale = _dense(operator)
-        return jnp.linalg.cholesky(matrix + self.ridge * jnp.eye(len(matrix))), scale
+        return _dense(operator)
 
     def compute(self, state, vector, options):
-        factor, scale = state
-        solution = jax.scipy.linalg.cho_solve((factor, True), _flat(scale, vector))
-        return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
+        matrix, scale = state
+        rhs = _flat(scale, vector)
+
+        def solve(ridge):
+            factor = jnp.linalg.cholesky(matrix + ridge * jnp.eye(len(matrix)))
+            return jax.scipy.linalg.cho_solve((factor, True), rhs)
+
+        solution = _unflat(scale, vector, _with_least_ridge(solve, rhs))
+        return solution, lx.RESULTS.successful, {}
+
+
+def _with_least_ridge(solve: Callable, like: Array) -> Array:
+    """`solve` of the first of `RIDGES` that gives numbers."""
+    ridges = jnp.array(RIDGES)
+
+    def attempt(carry):
+        _, tries = carry
+        return solve(ridges[tries]), tries + 1
+
+    def indefinite(carry):
+        x, tries = carry
+        return (tries < len(RIDGES)) & ~jnp.all(jnp.isfinite(x))
+
+    return jax.lax.while_loop(indefinite, attempt, (jnp.full_like(like, jnp.nan), 0))[0]
 
 
 class LeastShift(_AbstractDirect):
     """For an exact Hessian, which may be indefinite: as little of its positive definite
     model is added as makes it definite, so the solution always points downhill. Says
-    `singular` where that is more than rounding."""
+    `singular` where any is needed."""
 
     positive: BandCholesky | DenseCholesky
 
@@ -163,9 +188,8 @@ class LeastShift(_AbstractDirect):
 
         start = (jnp.full_like(vector, jnp.nan), 0)
         x, tries = jax.lax.while_loop(indefinite, attempt, start)
-        definite = (shifts[tries - 1] <= ROUNDING) & jnp.all(jnp.isfinite(x))
         successful, singular = lx.RESULTS.successful, lx.RESULTS.singular
-        return x, lx.RESULTS.where(definite, successful, singular), {}
+        return x, lx.RESULTS.where(tries == 1, successful, singular), {}
 
 
 class DirectSolvers(eqx.Module):

@@ -21,7 +21,7 @@ from .manifolds import PointCloud
 
 GAUGE = 0.1  # gamma vol(M) of the projected energy: holds Psi near N, costs 1e-4 of E
 AMBIENT_GAUGE = 10.0  # of the penalised one on ambient sources, in one stage
-FLOOR = 1e-14  # of mean |y|^2: a smaller decrease is rounding (perfect fits)
+ROUNDING = 32.0  # times what one rounding of every number in the residuals changes
 ROUNDS = 12  # Newton solves on a point cloud, each on the patches of the one before
 ROUND_STEPS = 4  # trial steps of each: more are lost when the patches change
 PATCH_RTOL = 1e-3  # relative decrease of the objective at which each stops
@@ -67,8 +67,10 @@ def minimise(
     max_steps: int,
 ):
     """`(w, gamma, objective, result, stats)`."""
-    floor = FLOOR * jnp.mean(jnp.sum(problem.y**2, axis=1))
-    newton = eqx.tree_at(lambda n: n.atol, newton, newton.atol + floor)
+    noise = ROUNDING * jnp.finfo(w0.dtype).eps * _residual_terms(problem, lam, w0)
+    newton = eqx.tree_at(
+        lambda n: (n.atol, n.noise), newton, (newton.atol + noise**2, noise)
+    )
     cloud = isinstance(problem.target, PointCloud)
     if method == "penalty":
         if cloud:
@@ -83,6 +85,15 @@ def minimise(
     else:
         w, total, result, stats = _newton_solve(newton, stage, w0, max_steps)
     return w, stage.gamma, total, result, stats
+
+
+def _residual_terms(problem: Problem, lam, w: Float[Array, "KC t"]):
+    """Root mean square of the terms that residuals are sums of: coordinates in the loss,
+    in the energy products of coefficients and second derivatives of the basis."""
+    second = problem.energy_jets.matrices[:, :, 1 + problem.basis.dim :]
+    sums = jnp.sum(jnp.sum(jnp.abs(second), axis=-1) ** 2, axis=-1)
+    energy = lam * jnp.sum(problem.energy_weights * sums) * jnp.max(w**2)
+    return jnp.sqrt(jnp.mean(jnp.sum(problem.y**2, axis=1)) + energy)
 
 
 def _newton_solve(newton: Newton, stage: Stage, w, max_steps: int):

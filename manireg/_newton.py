@@ -47,6 +47,7 @@ class _Reference(eqx.Module):
     """Where full steps that need not succeed began."""
 
     y: Any
+    f: Scalar
     goal: Scalar
     """What the objective has to reach."""
     steps: Int[Array, ""]
@@ -104,7 +105,7 @@ class Newton(optx.AbstractMinimiser):
     exact_descent: optx.AbstractDescent
     norm: Callable[[Any], Scalar] = optx.max_norm
     noise: float = 0.0
-    certify: bool = eqx.field(static=True, default=False)
+    certify: bool | Bool[Array, ""] = False
     near: float = 1e-3
     retry: float = 0.1
     slope: float = 1e-4
@@ -136,7 +137,7 @@ class Newton(optx.AbstractMinimiser):
                 saddle=false,
                 done=false,
             ),
-            reference=_Reference(y, zero, jnp.array(0)),
+            reference=_Reference(y, zero, zero, jnp.array(0)),
             num_accepted_steps=jnp.array(0),
             result=optx.RESULTS.successful,
         )
@@ -190,7 +191,7 @@ class Newton(optx.AbstractMinimiser):
             tolerance = self.atol + self.rtol * jnp.abs(f_eval) + rounding
             still = decrease <= tolerance
             near = still | (decrease < threshold * jnp.abs(f_eval))
-            minimum = (downhill & convex) if self.certify else True
+            minimum = (downhill & convex) | ~jnp.asarray(self.certify)
             return state.y_eval, _Accepted(
                 f_info,
                 aux_eval,
@@ -216,6 +217,7 @@ class Newton(optx.AbstractMinimiser):
         steps = jnp.where(enough | shorter, 0, reference.steps + accept)
         new_reference = _Reference(
             jtu.tree_map(lambda a, b: jnp.where(enough, a, b), y, reference.y),
+            jnp.where(enough, f_eval, reference.f),
             jnp.where(enough | shorter, goal, reference.goal),
             steps,
         )
@@ -268,14 +270,14 @@ class Newton(optx.AbstractMinimiser):
         return state.accepted.done, state.result
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
-        last = state.accepted
+        last, best = state.accepted, state.reference
         stats = {
             "num_newton_steps": state.num_accepted_steps,
             "num_trials": state.num_trials,
-            "objective": last.f_info.f - jnp.where(last.done, last.decrease, 0.0),
+            "objective": jnp.where(last.done, last.f_info.f - last.decrease, best.f),
         }
         # at the end the full Newton step is known already: take it
-        y = jtu.tree_map(lambda a, b: jnp.where(last.done, a, b), state.y_eval, y)
+        y = jtu.tree_map(lambda a, b: jnp.where(last.done, a, b), state.y_eval, best.y)
         return y, aux, stats
 
 

@@ -20,13 +20,13 @@ from ._solve import RegressionMap, solve
 from ._sources import Source, sampled_dim
 from ._starts import free_solution
 from ._sweep import sweep
+from ._wavelengths import anchor, lambda_of_wavelength, mean_spacing
 from .manifolds import AbstractManifold
 
 # Predicted relative decrease of the last Newton step of a fold's fit. 3e-3 saves a fifth
 # of the time; measured on curves, errors that change mostly grow by 1 to 3 %.
 COARSE = 1e-3
 HOPELESS = 2.0  # times the best mean score
-ANCHOR = 1.5  # wavelength where paths start, in spacings of the data
 
 
 class CrossValidation(eqx.Module):
@@ -64,15 +64,6 @@ def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
     low = jnp.log(lambda_of_wavelength(problem, mean_spacing(problem)))
     high = jnp.log(lambda_of_wavelength(problem, 2 * size))
     return jnp.exp(jnp.linspace(low, high, n))
-
-
-def mean_spacing(problem: Problem):
-    """Of the data, were they spread evenly."""
-    return (problem.volume / len(problem.y)) ** (1 / sampled_dim(problem.source))
-
-
-def lambda_of_wavelength(problem: Problem, wavelength):
-    return (wavelength / (2 * np.pi)) ** 4 / problem.volume
 
 
 def cross_validate(
@@ -147,8 +138,7 @@ def _follow(grid, shared, training, bar, adapt: bool):
     """Scores and convergence, `(folds, lams)`; coefficients, `(folds, lams, KC, t)`.
     `adapt`: no further than to the hopeless."""
     problem, n = shared[0], len(grid)
-    middle = lambda_of_wavelength(problem, ANCHOR * mean_spacing(problem))
-    anchor = int(jnp.argmin(jnp.abs(jnp.log(grid / middle))))
+    middle = int(jnp.argmin(jnp.abs(jnp.log(grid / anchor(problem)))))
     scores = np.full((len(training), n), np.inf)
     converged = np.zeros((len(training), n), dtype=bool)
     w = np.zeros((len(training), n, problem.pattern.size, problem.y.shape[1]))
@@ -174,9 +164,9 @@ def _follow(grid, shared, training, bar, adapt: bool):
                 return indices[done:]
         return indices[:0]
 
-    at_anchor = fit(start(anchor), anchor)
-    beyond = follow(at_anchor, range(anchor + 1, n), to_the_end=False)
-    follow(at_anchor, range(anchor - 1, -1, -1), to_the_end=not adapt)
+    at_anchor = fit(start(middle), middle)
+    beyond = follow(at_anchor, range(middle + 1, n), to_the_end=False)
+    follow(at_anchor, range(middle - 1, -1, -1), to_the_end=not adapt)
     if beyond and not adapt:
         follow(start(n - 1), beyond[::-1], to_the_end=True)
     return tuple(map(jnp.asarray, (scores, converged, w)))

@@ -17,13 +17,15 @@ from ._jets import centres_near
 from ._linear_solvers import DirectSolvers, direct_solvers
 from ._local_polynomials import LocalPolynomials, basis_values, cover
 from ._minimise import Method, minimise, newton_minimiser, stage_of
+from ._newton import add_counts
 from ._objective import Energies, Stage, objective
 from ._problem import Problem
 from ._sources import Source
-from ._starts import starts_of
+from ._starts import STRIDE, starts_of
 from .manifolds import AbstractManifold
 
 STARTS = (1.0, 1e-2)
+ON_THE_WAY = 1e-3  # relative decrease at which Newton stops there
 
 
 class RegressionMap(eqx.Module):
@@ -126,8 +128,10 @@ def solve(
       continuation is needed. `"penalty"` is the paper's: energy with the projector at
       $\Psi$, plus $\gamma \int |\Psi - \pi\Psi|^2$ with gamma raised in stages.
       Measured on curves on the sphere: same minimisers, a third of the Newton steps.
-    - `starts`: the free (thin plate) solutions at `lam * factor`, one a factor; the
-      lowest objective found is returned.
+    - `starts`: one a factor, the free (thin plate) solution at `lam * factor`, projected
+      onto N, or where its objective is lower and the factor at least 1 the spline of
+      logarithms; below 1 at no more than the lambda whose wavelength is 1.5 spacings of
+      the data, and followed up to `lam` from there. The lowest minimum is returned.
     - `warm`: coefficients of a map fitted on the same problem, as one more start.
     - `rtol`: relative decrease of the objective below which Newton stops.
     - `max_steps`: trial steps allowed.
@@ -162,7 +166,6 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     fixed = jax.lax.stop_gradient(eqx.filter(problem, eqx.is_array))
     fixed = eqx.combine(fixed, problem)
     frozen_lam = jax.lax.stop_gradient(lam)
-    newton = newton_minimiser(solvers, rtol, certify=True)
     arrays, rest = eqx.partition((fixed, frozen_lam, warm), eqx.is_array)
 
     # In lockstep all lanes of a vmap would wait for the slowest, and take both branches of
@@ -170,11 +173,13 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     @jax.custom_batching.sequential_vmap
     def lowest(arrays):
         problem, lam, warm = eqx.combine(arrays, rest)
-        w0 = [starts_of(problem, lam, starts, method, solvers)] if starts else []
-        candidates = jax.lax.map(
-            lambda w0: minimise(problem, lam, w0, method, newton, max_steps),
-            jnp.concatenate(w0 + ([] if warm is None else [warm[None]])),
+        lanes = [starts_of(problem, lam, starts, method, solvers)] if starts else []
+        lanes += [] if warm is None else [(warm[None], lam[None])]
+        follow = lambda lane: _followed(
+            problem, lam, *lane, method, solvers, rtol, max_steps
         )
+        lanes = jax.tree.map(lambda *parts: jnp.concatenate(parts), *lanes)
+        candidates = jax.lax.map(follow, lanes)
         best = jnp.argmin(jnp.nan_to_num(candidates[2], nan=jnp.inf))
         return jax.tree.map(lambda a: a[best], candidates)
 
@@ -183,6 +188,32 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     w = _implicit(stage, w, solvers)
     _, energies = objective(w, stage)
     return regression_map(problem, w, lam, energies, result, stats)
+
+
+def _followed(problem, lam, w, first, method, solvers, rtol, max_steps):
+    """From `w` to the minimum at `first`, and on to the one at `lam` in a few steps of at
+    most a factor of `STRIDE`."""
+
+    def solve_at(now, w):
+        last = now >= lam
+        tolerance = jnp.where(last, rtol, jnp.maximum(rtol, ON_THE_WAY))
+        newton = newton_minimiser(solvers, tolerance, certify=last)
+        return minimise(problem, now, w, method, newton, max_steps)
+
+    def on_the_way(carry):
+        return carry[0] < lam
+
+    def go_on(carry):
+        now, (w, _, _, _, before) = carry
+        now = jnp.where(STRIDE * now < (1 - 1e-9) * lam, STRIDE * now, lam)
+        w, *rest, stats = solve_at(now, w)
+        return now, (w, *rest, add_counts(stats, before))
+
+    # the first lambda is that of a step taken from nowhere: one program serves all
+    shapes = jax.eval_shape(solve_at, lam, w)
+    nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+    start = (first / STRIDE, (w, *nothing[1:]))
+    return jax.lax.while_loop(on_the_way, go_on, start)[1]
 
 
 @eqx.filter_custom_jvp

@@ -4,7 +4,8 @@ The free solution, with the ambient space for N, follows the data, but leaves N 
 goes on beyond them; so it is projected, and the nearest map of the basis taken. Under a
 large lambda it shrinks to the mean of the data, which may be far from N. There the same
 spline of logarithms, in the tangent space at one datum, sent to N by the exponential map,
-is next to geodesic regression.
+is next to geodesic regression. Maps that wind round N have no such spline: they are
+followed from a lambda at which they follow the data.
 """
 
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, ScalarLike
 
 from ._assembly import VALUE, PointHessians, assembled
@@ -21,7 +23,10 @@ from ._linear_solvers import DirectSolvers
 from ._minimise import Method, gauge, stage_of
 from ._objective import Stage, objective
 from ._problem import Problem
+from ._wavelengths import anchor
 from .manifolds import Euclidean
+
+STRIDE = 100.0  # largest step of lambda on the way from a start
 
 
 def starts_of(
@@ -30,44 +35,36 @@ def starts_of(
     factors: Sequence[float],
     method: Method,
     solvers: DirectSolvers,
-) -> Float[Array, "n KC t"]:
-    """Starts, as many as `factors`: the free solutions at these multiples of lambda. Where
-    Newton moves a map on N, they and the spline of logarithms are made maps into N, and
-    those of lowest objective kept."""
+) -> tuple[Float[Array, "n KC t"], Float[Array, " n"]]:
+    """A start for each of `factors`, and the lambda of its first solve: the free solution
+    at that multiple of lambda, below 1 at no more than the anchor. Where Newton moves a
+    map on N, made a map into N; and that of a factor of 1 or more is the spline of
+    logarithms, if its objective is lower."""
+    direct = np.array(factors) >= 1
     lams = lam * jnp.asarray(factors)
-    free = lambda y, origin, lam: free_solution(
-        eqx.tree_at(lambda p: (p.y, p.origin), problem, (y, origin)), lam, solvers
-    )
-    nowhere = jnp.zeros((problem.pattern.size, problem.y.shape[1]))
-    stage = stage_of(problem, lam, gauge(problem), method, nowhere)
+    lams = jnp.where(direct, lams, jnp.minimum(lams, anchor(problem)))
+    first = jnp.where(direct, lam, jnp.minimum(lam, STRIDE * lams))
+    free = jax.lax.map(lambda lam: free_solution(problem, lam, solvers), lams)
+    stage = stage_of(problem, lam, gauge(problem), method, free[0])
     if not stage.projected or stage.local is not None:
-        return jax.lax.map(lambda lam: free(problem.y, problem.origin, lam), lams)
+        return free, first
 
+    project, exp = problem.target.project, problem.target.exp
     datum, logarithms = _logarithms(problem)
-    stacked = lambda many, one: jnp.stack([*[many] * len(factors), one])
-    lanes = (
-        stacked(problem.y, logarithms),
-        stacked(problem.origin, jnp.zeros_like(problem.origin)),
-        jnp.append(lams, lam),
-    )
-    splines = jax.lax.map(lambda lane: free(*lane), lanes)
     values = lambda w: jet_values(problem.energy_jets, w)[:, :, 0]
-    shape = problem.target.point_shape
-    points = lambda v: v.reshape(*v.shape[:-1], *shape)
-    images = [
-        *(
-            problem.target.project(points(values(w) + problem.origin))
-            for w in splines[:-1]
-        ),
-        problem.target.exp(datum, points(values(splines[-1]))),
-    ]
-    images = jnp.stack(images).reshape(len(lanes[2]), *values(splines[0]).shape)
-    starts = _nearest_maps(problem, images, solvers)
-    finite = jnp.all(jnp.isfinite(starts), axis=(1, 2), keepdims=True)
-    starts = jnp.where(finite, starts, splines.at[-1].set(splines[0]))
-    totals = jax.lax.map(lambda w: objective(w, stage)[0], starts)
-    order = jnp.argsort(jnp.nan_to_num(totals, nan=jnp.inf))
-    return starts[order[: len(factors)]]
+    as_points = lambda v: v.reshape(*v.shape[:2], *problem.target.point_shape)
+    on_target = lambda w: project(as_points(values(w) + problem.origin))
+    spline = values(_spline(problem, logarithms, lam, solvers))
+    images = [*jax.vmap(on_target)(free), exp(datum, as_points(spline))]
+    maps = _nearest_maps(
+        problem, jnp.stack([a.reshape(spline.shape) for a in images]), solvers
+    )
+    finite = jnp.all(jnp.isfinite(maps), axis=(1, 2), keepdims=True)
+    maps = jnp.where(finite, maps, jnp.concatenate([free, free[:1]]))
+    totals = jax.lax.map(lambda w: objective(w, stage)[0], maps)
+    totals = jnp.nan_to_num(totals, nan=jnp.inf)
+    lower = direct & (totals[-1] < totals[:-1])
+    return jnp.where(lower[:, None, None], maps[-1], maps[:-1]), first
 
 
 def _logarithms(problem: Problem):
@@ -105,21 +102,27 @@ def free_solution(
     problem: Problem, lam: ScalarLike, solvers: DirectSolvers
 ) -> Float[Array, "KC t"]:
     """The minimiser with N = R^t: a thin-plate spline, one linear solve."""
-    free = free_problem(problem)
+    free = eqx.tree_at(lambda p: p.energy_jets, problem, problem.free_jets)
+    return _flat_solution(free, lam, solvers)
+
+
+def _spline(problem: Problem, y, lam, solvers: DirectSolvers) -> Float[Array, "KC t"]:
+    """The same with the energy of the source itself, of other data around 0."""
+    zero = jnp.zeros_like(problem.origin)
+    other = eqx.tree_at(lambda p: (p.y, p.origin), problem, (y, zero))
+    return _flat_solution(other, lam, solvers)
+
+
+def _flat_solution(problem: Problem, lam, solvers: DirectSolvers):
+    ambient = Euclidean(problem.y.shape[1])
+    flat = eqx.tree_at(lambda p: p.target, problem, ambient)
     w = jnp.zeros((problem.pattern.size, problem.y.shape[1]))
-    stage = Stage(free, lam, 0.0, False)
+    stage = Stage(flat, lam, 0.0, False)
     gradient = jax.grad(lambda w: objective(w, stage)[0])(w)
     # every coordinate has the same matrix
-    one = eqx.tree_at(lambda s: s.problem, stage, _first_coordinate(free))
+    one = eqx.tree_at(lambda s: s.problem, stage, _first_coordinate(flat))
     factor = solvers.positive.init(gauss_newton(w[:, :1], one), {})
     return -solvers.positive.compute(factor, gradient[:, None], {})[0][:, 0]
-
-
-def free_problem(problem: Problem) -> Problem:
-    """The same data, ambient space as the target."""
-    where = lambda p: (p.target, p.energy_jets)
-    ambient = Euclidean(problem.y.shape[1])
-    return eqx.tree_at(where, problem, (ambient, problem.free_jets))
 
 
 def _first_coordinate(problem: Problem) -> Problem:

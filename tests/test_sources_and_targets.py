@@ -95,7 +95,7 @@ def test_ambient_linear_functions_are_reproduced(name):
         centres=40,
     )  # fmt: skip
     w = eqx.filter_jit(free_solution)(problem, 1e-2, direct_solvers())
-    values, covered = evaluate(problem.basis, w, new)
+    values, covered = evaluate(problem.basis, w, new, problem.origin)
     assert covered
     np.testing.assert_allclose(values, new @ slope + 1.0, atol=1e-6)
 

@@ -1,0 +1,154 @@
+"""Ten thousand random regressions: does Newton end at a minimum, and does it say so when
+it does not?
+
+Targets x sources x lambda over 12 decades x numbers of data, each a random smooth map with
+noise from none to more than the map. What a fit says of itself is checked independently:
+the gradient, in units of what rounding leaves, and the smallest eigenvalue of the exact
+Hessian, both dense. `python benchmarks/random_problems.py --problems 10000` takes hours;
+`--problems 300` is a sample. Prints a table, writes `results/random_problems.csv`.
+"""
+
+import argparse
+import csv
+from pathlib import Path
+
+import equinox as eqx
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+
+import manireg as mr
+from manireg._hessian import exact
+from manireg._minimise import gauge, stage_of
+from manireg._objective import objective
+from manireg._wavelengths import anchor
+
+SOURCES = {
+    "interval": mr.Interval(0.0, 1.0),
+    "circle": mr.Sphere(1),
+    "sphere": mr.Sphere(2),
+    "box": mr.Box((0.0, 0.0), (1.0, 2.0)),
+}
+TARGETS = {
+    "line": mr.Euclidean(1),
+    "circle": mr.Sphere(1),
+    "sphere": mr.Sphere(2),
+    "rotations": mr.SpecialOrthogonal(3),
+    "cylinder": mr.Cylinder(),
+    "torus": mr.FlatTorus(2),
+    "poses": mr.Product(mr.SpecialOrthogonal(3), mr.Euclidean(3)),
+    "shapes": mr.PlanarShapes(3),
+    "spd": mr.SymmetricPositiveDefinite(2),
+    "big sphere": mr.Sphere(2, radius=1e3),
+}
+SIZES = (3, 5, 10, 30, 100, 300)
+# (source, target, k): each a compiled program
+SHAPES = (
+    [("interval", target, k) for target in ("sphere",) for k in SIZES]
+    + [("interval", target, 30) for target in TARGETS if target != "sphere"]
+    + [("interval", target, 100) for target in ("rotations", "poses", "circle")]
+    + [("circle", target, k) for target in ("circle", "sphere") for k in (5, 30, 100)]
+    + [("circle", "rotations", 30), ("box", "line", 30), ("sphere", "circle", 30)]
+    + [("sphere", "sphere", 30), ("box", "sphere", 30)]
+)
+DECADES = 12
+COLUMNS = ("source", "target", "k", "log10_lam", "noise", "part", "success", "steps")
+MORE = ("objective", "gradient", "curvature")
+
+
+def problem_of(rng, source: str, target: str, k: int):
+    """Data of a random smooth map into N, with random noise, all over the source or on
+    a part of it."""
+    M, N = SOURCES[source], TARGETS[target]
+    part = rng.choice([1.0, 0.5]) if source == "interval" else 1.0
+    if source == "interval":
+        x = part * rng.uniform(size=k)
+    elif source == "box":
+        x = rng.uniform((0, 0), (1, 2), (k, 2))
+    else:
+        x = np.array(M.random_points(jax.random.key(rng.integers(2**31)), k))
+    t = int(np.prod(N.point_shape))
+    z = x.reshape(k, -1)
+    waves = rng.normal(size=(3, z.shape[1])) * rng.choice([1.0, 4.0, 12.0])
+    phases = z @ waves.T + rng.uniform(0, 2 * np.pi, 3)
+    size = float(np.minimum(np.asarray(N.reach), 1e3)) if np.isfinite(N.reach) else 1.0
+    smooth = np.cos(phases) @ rng.normal(size=(3, t)) + rng.normal(size=t)
+    noise = rng.choice([0.0, 0.01, 0.3, 3.0])
+    y = size * (smooth + noise * rng.normal(size=(k, t)))
+    y = np.array(N.project(jnp.asarray(y).reshape(k, *N.point_shape)))
+    problem = mr.make_problem(M, N, x, y)
+    return problem, float(np.log10(anchor(problem))), noise, part
+
+
+@eqx.filter_jit
+def evidence(problem, lam, w):
+    stage = stage_of(problem, lam, gauge(problem), "projected", w)
+    f, gradient = jax.value_and_grad(lambda w: objective(w, stage)[0])(w)
+    return f, gradient.ravel(), exact(w, stage).as_matrix()
+
+
+def checked(problem, lam, model) -> tuple[float, float, float]:
+    """Objective; decrease a Newton step promises, relative to it; smallest eigenvalue of
+    the Hessian, its diagonal scaled to one."""
+    f, gradient, hessian = map(np.array, evidence(problem, lam, model.coefficients))
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-14 * np.diag(hessian).max()))
+    values, vectors = np.linalg.eigh(hessian / scale[:, None] / scale)
+    along = vectors.T @ (gradient / scale)
+    decrease = 0.5 * np.sum(along**2 / np.maximum(np.abs(values), 1e-9))
+    return float(f), float(decrease), float(values[0])
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--problems", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--shapes", type=int, nargs="*")
+    results = Path(__file__).parent / "results" / "random_problems.csv"
+    parser.add_argument("--out", type=Path, default=results)
+    options = parser.parse_args()
+    shapes = [SHAPES[i] for i in options.shapes] if options.shapes else SHAPES
+    each = -(-options.problems // len(shapes))
+    rows = []
+    for number, (source, target, k) in enumerate(shapes):
+        rng = np.random.default_rng((options.seed, number))
+        for _ in range(each):
+            problem, middle, noise, part = problem_of(rng, source, target, k)
+            decade = rng.uniform(middle - DECADES / 2, middle + DECADES / 2)
+            lam = 10.0**decade
+            model = mr.solve(problem, lam, throw=False)
+            success = bool(model.result == optx.RESULTS.successful)
+            f, gradient, curvature = checked(problem, jnp.asarray(lam), model)
+            size = float(np.sum(np.asarray(problem.y - problem.origin) ** 2) / k)
+            row = (source, target, k, round(decade - middle, 2), noise, part, success)
+            row += (int(model.stats["num_steps"]), f, gradient / max(f, 1e-20 * size))
+            rows.append((*row, curvature))
+        tried = [row for row in rows if row[:3] == (source, target, k)]
+        failed = sum(not row[6] for row in tried)
+        false = sum(is_false(row) for row in tried)
+        steps = np.quantile([row[7] for row in tried], [0.5, 0.99])
+        print(
+            f"{source:9s} {target:10s} {k:4d}: {failed:3d} of {len(tried)} failed, "
+            f"{false} false, steps {steps[0]:.0f} / {steps[1]:.0f}",
+            flush=True,
+        )
+    with options.out.open("w", newline="") as file:
+        csv.writer(file).writerows([(*COLUMNS, *MORE), *rows])
+    steps = np.quantile([row[7] for row in rows], [0.5, 0.99])
+    failed = np.mean([not row[6] for row in rows])
+    print(
+        f"{len(rows)} problems: {sum(map(is_false, rows))} false successes, "
+        f"{failed:.2%} failures, steps {steps[0]:.0f} (median), {steps[1]:.0f} (99 %)"
+    )
+
+
+def is_false(row) -> bool:
+    """Success, but a Newton step still promises a millionth, or the Hessian bends down."""
+    return row[6] and (row[9] > 1e-6 or row[10] < -1e-7)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,23 @@
+"""Lambda as a wavelength: a perturbation of wavelength l adds to loss and penalty alike at
+lambda = (l / 2 pi)^4 / vol(M), whatever the scale of the target."""
+
+import numpy as np
+
+from ._problem import Problem
+from ._sources import sampled_dim
+
+ANCHOR = 1.5  # wavelength, in spacings of the data, under which maps follow them
+
+
+def mean_spacing(problem: Problem):
+    """Of the data, were they spread evenly."""
+    return (problem.volume / len(problem.y)) ** (1 / sampled_dim(problem.source))
+
+
+def lambda_of_wavelength(problem: Problem, wavelength):
+    return (wavelength / (2 * np.pi)) ** 4 / problem.volume
+
+
+def anchor(problem: Problem):
+    """The lambda where paths along lambda start."""
+    return lambda_of_wavelength(problem, ANCHOR * mean_spacing(problem))
