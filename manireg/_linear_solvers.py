@@ -166,6 +166,7 @@ class LeastShift(_AbstractDirect):
     `singular` where any is needed."""
 
     positive: BandCholesky | DenseCholesky
+    shifts: tuple[float, ...] = eqx.field(static=True, default=SHIFTS)
 
     def init(self, operator: Any, options):
         del options
@@ -173,7 +174,7 @@ class LeastShift(_AbstractDirect):
 
     def compute(self, state, vector, options):
         exact, model = state
-        shifts = jnp.array(SHIFTS)
+        shifts = jnp.array(self.shifts)
 
         def attempt(carry):
             _, tries = carry
@@ -184,7 +185,7 @@ class LeastShift(_AbstractDirect):
 
         def indefinite(carry):
             x, tries = carry
-            return (tries < len(SHIFTS)) & ~jnp.all(jnp.isfinite(x))
+            return (tries < len(self.shifts)) & ~jnp.all(jnp.isfinite(x))
 
         start = (jnp.full_like(vector, jnp.nan), 0)
         x, tries = jax.lax.while_loop(indefinite, attempt, start)
@@ -193,12 +194,14 @@ class LeastShift(_AbstractDirect):
 
 
 class DirectSolvers(eqx.Module):
-    """The pair a Newton solve needs."""
+    """What a Newton solve needs."""
 
     positive: lx.AbstractLinearSolver
     """For the Gauss-Newton model."""
     indefinite: lx.AbstractLinearSolver
     """For the exact Hessian."""
+    at_minimum: lx.AbstractLinearSolver
+    """The same where it has to be positive definite: else not a number."""
 
 
 def direct_solvers(kind: str = "auto", dim: int = 2) -> DirectSolvers:
@@ -208,13 +211,17 @@ def direct_solvers(kind: str = "auto", dim: int = 2) -> DirectSolvers:
         kind = "sparse" if jax.default_backend() == "cpu" else "dense"
     if kind == "sparse":
         if dim == 1:
-            return DirectSolvers(BandCholesky(), LeastShift(BandCholesky()))
-        return DirectSolvers(SparseCholesky(), ModelCG())
+            return _shifting(BandCholesky())
+        return DirectSolvers(SparseCholesky(), ModelCG(), ModelCG())
     if kind == "dense":
-        return DirectSolvers(DenseCholesky(), LeastShift(DenseCholesky()))
+        return _shifting(DenseCholesky())
     raise ValueError(
         f"linear_algebra: expected 'auto', 'sparse' or 'dense', found {kind!r}."
     )
+
+
+def _shifting(positive: BandCholesky | DenseCholesky) -> DirectSolvers:
+    return DirectSolvers(positive, LeastShift(positive), LeastShift(positive, (0.0,)))
 
 
 def _sparse(operator: lx.AbstractLinearOperator) -> SparseSymmetric:

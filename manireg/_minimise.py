@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, ScalarLike
 
 from ._continuation import penalty_path
 from ._hessian import exact, gauss_newton
@@ -31,7 +31,7 @@ Method = Literal["projected", "penalty"]
 
 
 def newton_minimiser(
-    solvers: DirectSolvers, rtol: float, certify: bool = False
+    solvers: DirectSolvers, rtol: ScalarLike, certify: ScalarLike = False
 ) -> Newton:
     return Newton(
         rtol=rtol,

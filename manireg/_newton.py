@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
 import optimistix as optx
-from jaxtyping import Array, Bool, Int, Scalar
+from jaxtyping import Array, Bool, Int, Scalar, ScalarLike
 
 KICK = 1e-3  # of the size of y, off a saddle
 
@@ -97,15 +97,15 @@ class Newton(optx.AbstractMinimiser):
     - `min_step`: give up (`nonlinear_divergence`) when backtracking goes below it.
     """
 
-    rtol: float
-    atol: float
+    rtol: ScalarLike
+    atol: ScalarLike
     model_hessian: Callable
     exact_hessian: Callable
     model_descent: optx.AbstractDescent
     exact_descent: optx.AbstractDescent
     norm: Callable[[Any], Scalar] = optx.max_norm
-    noise: float = 0.0
-    certify: bool | Bool[Array, ""] = False
+    noise: ScalarLike = 0.0
+    certify: ScalarLike = False
     near: float = 1e-3
     retry: float = 0.1
     slope: float = 1e-4

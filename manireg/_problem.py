@@ -164,7 +164,7 @@ def assemble_problem(
         x=x,
         y=y,
         weights=weights,
-        origin=jnp.mean(y, axis=0),
+        origin=weights @ y / jnp.sum(weights),
         pattern=pattern,
         energy_places=energy_places,
         data_places=data_places,

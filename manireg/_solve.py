@@ -229,6 +229,4 @@ def _(primals, tangents):
     _, moved = eqx.filter_jvp(gradient, (stage,), (tangents[0],))
     hessian = exact(w, stage, gauss_newton(w, stage))
     # no `throw`: it would be a callback, and those neither run on every device nor cache
-    solution = lx.linear_solve(hessian, moved, solvers.indefinite, throw=False)
-    solved = solution.result == lx.RESULTS.successful
-    return w, -jnp.where(solved, solution.value, jnp.nan)
+    return w, -lx.linear_solve(hessian, moved, solvers.at_minimum, throw=False).value
