@@ -68,7 +68,7 @@ class Axis(NamedTuple):
         dates = np.array(ticks, dtype=np.int64).view(f"M8[{unit}]")
         units = ("s", "ms", "us", "ns") if self.zoned else ("D", "s", "ms", "us", "ns")
         exact = (u for u in units if np.all(dates.astype(f"M8[{u}]") == dates))
-        times = np.datetime_as_string(dates, unit=next(exact)).tolist()
+        times = np.datetime_as_string(dates.astype(f"M8[{next(exact)}]")).tolist()
         return [f"{time}Z" if self.zoned else time for time in times]
 
 

@@ -1,5 +1,7 @@
 """A number as messages and tables show it."""
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import ScalarLike
 
@@ -7,9 +9,9 @@ from jaxtyping import ScalarLike
 def shown(value: ScalarLike) -> str:
     """The shortest digits that read back as the same number, without a trailing `.0`:
     two numbers that differ look different (1.7e9 + 0.05 is 1700000000.05)."""
-    value = np.asarray(value)[()]
-    if value.dtype.kind != "f":
-        return str(value)
-    plain = 1e-4 <= abs(value) < 1e16 or value == 0
+    number: Any = np.asarray(value)[()]
+    if number.dtype.kind != "f":
+        return str(number)
+    plain = 1e-4 <= abs(number) < 1e16 or number == 0
     show = np.format_float_positional if plain else np.format_float_scientific
-    return show(value, trim="-")
+    return show(number, trim="-")

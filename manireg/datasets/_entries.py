@@ -179,8 +179,14 @@ def _decimal_mark(texts: list[str], marks: Marks) -> str:
         return "."
     sure = marks.decimal_commas or (marks.separator == ";" and not marks.points)
     sure = sure or any(not _grouped(text, ",") for text in commas.values())
-    if not sure or points or any(t.count(",") > 1 for t in commas.values()):
+    several = [i for i, text in commas.items() if text.count(",") > 1]
+    if not sure:
         raise BadEntry(min(commas), len(commas), _TWO_WAYS)
+    if several or points:
+        both = [(commas, ","), (points, ".")]
+        doubt = [t for t, mark in both if all(_grouped(c, mark) for c in t.values())]
+        odd = several or min(doubt or (commas, points), key=len)
+        raise BadEntry(min(odd), len(odd), _TWO_WAYS)
     return ","
 
 

@@ -1,6 +1,5 @@
 """A table as it is in a file: columns of text, and the line of each row."""
 
-import codecs
 import csv
 import io
 import re
@@ -8,18 +7,10 @@ import warnings
 from pathlib import Path
 from typing import NamedTuple
 
+from ._encodings import decoded
 from ._entries import Marks, is_data, is_missing, marks_of, tidy
 
 SEPARATORS = (",", ";", "\t", "|", " ")
-_NO_TEXT = {
-    b"PK\x03\x04": "an Excel workbook or another zip archive",
-    b"\xd0\xcf\x11\xe0": "an Excel workbook",
-    b"\x1f\x8b": "compressed",
-    b"PAR1": "a Parquet file",
-    b"\x89HDF": "an HDF5 file",
-    b"MATLAB": "a MATLAB file",
-    b"\x93NUMPY": "a numpy file",
-}
 # Excel writes `#N/A` and the like where a formula has no value: no comments
 _COMMENT = re.compile(r"\s*(#(?!N/A|NA\b|DIV/0!|VALUE!|REF!|NUM!|NAME\?|NULL!)|%)")
 _EXCEL_HINT = re.compile(r'"?sep=(.)"?')
@@ -62,7 +53,7 @@ def read_text_table(path: Path) -> TextTable:
 
     Raises `FileNotFoundError`, or a `ValueError` that names the file and the line."""
     path = path.expanduser()
-    text = _decoded(path).replace("\r\n", "\n").replace("\r", "\n").rstrip("\x1a")
+    text = decoded(path).replace("\r\n", "\n").replace("\r", "\n").rstrip("\x1a")
     lines = text.split("\n")
     comments = {i: line for i, line in enumerate(lines, 1) if _COMMENT.match(line)}
     lines = ["" if i in comments else line for i, line in enumerate(lines, 1)]
@@ -95,33 +86,6 @@ def read_text_table(path: Path) -> TextTable:
         marks = marks_of(entries, separator) if "," in text else marks
     rows = list(range(1, len(records) + 1))
     return TextTable(path, columns, rows, [line for line, _ in records], marks)
-
-
-def _decoded(path: Path) -> str:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file.")
-    raw = path.read_bytes()
-    for magic, what in _NO_TEXT.items():
-        if raw.startswith(magic):
-            raise ValueError(f"{path} is {what}, no table of text: save it as CSV.")
-    encodings = ["utf-8-sig", "cp1252"]
-    if raw.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
-        encodings = ["utf-32"]
-    elif raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        encodings = ["utf-16"]
-    elif b"\0" in raw[:1000]:
-        encodings = ["utf-16-be" if raw[0] == 0 else "utf-16-le"]
-    for encoding in encodings:
-        try:
-            text = raw.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-        if "\0" not in text:
-            return text
-    raise ValueError(
-        f"{path} is no text that can be read (UTF-8, UTF-16, Windows-1252): save it as "
-        "CSV in UTF-8."
-    )
 
 
 def _fields(line: str, separator: str) -> list[str]:
