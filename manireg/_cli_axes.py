@@ -1,6 +1,7 @@
 """The inputs of `manireg fit`: columns of numbers or dates, read and written exactly."""
 
 import re
+import warnings
 from collections.abc import Sequence
 from decimal import Decimal, localcontext
 from typing import NamedTuple
@@ -13,7 +14,8 @@ from .datasets._entries import is_date, tidy
 from .datasets._text_tables import TextTable
 
 FAR = 1e-6  # of the range: with coarser floats the origin moves to the first value
-_ZONE = re.compile(r"[T ]\d\d.*(Z|[+-]\d\d(:?\d\d)?)$")
+_ZONE = re.compile(r"[T ]\d\d.*(Z|UTC|[+-]\d\d(:?\d\d)?)$")
+_COMPACT = re.compile(r"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])(\d{4}|\d{6})?")
 
 
 class Axis(NamedTuple):
@@ -59,7 +61,11 @@ class Axis(NamedTuple):
         if not self.dates and not self.origin:
             return [shown(value) for value in floats]
         with localcontext(prec=50):
-            exact = [self.origin + Decimal(repr(float(v))) for v in floats]
+            # the last digit of the largest is noise
+            far = np.abs(floats).max(initial=1e-300)
+            step = Decimal(1).scaleb(int(np.floor(np.log10(far))) - 14)
+            offsets = [Decimal(repr(float(v))).quantize(step) for v in floats]
+            exact = [self.origin + offset for offset in offsets]
             if not self.dates:
                 return [f"{value.normalize():f}" for value in exact]
             nanoseconds = [round(value * 10**9) for value in exact]
@@ -81,14 +87,18 @@ def axis_of(name: str, tables: Sequence[TextTable]) -> Axis:
         zoned = _ZONE.search(tidy(entries[0])) is not None
         for table, there in places:
             _check_dates(table, there, zoned)
-        exact = [d for table, there in places for d in _exact(table, there, True)]
-        return Axis(name, min(exact), True, zoned)
+        return Axis(name, min(_exact(tables[0], name, True)), True, zoned)
+    if all(_COMPACT.fullmatch(tidy(entry)) for entry in entries):
+        warnings.warn(
+            f"{tables[0].path}: column `{name}` is read as numbers. If {entries[0]} is a "
+            "date, write it as 2024-05-01.",
+            stacklevel=2,
+        )
     floats = Axis(name).floats
     values = np.concatenate([floats(table) for table in tables])
     if np.spacing(np.abs(values).max()) <= FAR * np.ptp(values):
         return Axis(name)
-    exact = [d for table, there in places for d in _exact(table, there, False)]
-    return Axis(name, min(exact))
+    return Axis(name, min(_exact(tables[0], name, False)))
 
 
 def lambda_unit(axes: Sequence[Axis]) -> str:
@@ -112,6 +122,7 @@ def _times(entries: list[str]):
     import pandas  # slow to import
 
     texts = [tidy(entry).replace(",", ".").replace("/", "-") for entry in entries]
+    texts = [text.replace("UTC", "Z") for text in texts]
     return pandas.to_datetime(texts, format="ISO8601", utc=True, errors="coerce")
 
 

@@ -91,7 +91,7 @@ def complete(table: TextTable, names: list[str], missing: Missing) -> TextTable:
     )
     warnings.warn(
         f"{table.path}: {len(left_out)} of {len(table.rows)} rows have missing values and "
-        f"are left out: data row{'s' * (len(left_out) > 1)} {rows} (line"
+        f"are left out: data row{'s' * (len(rows) > 1)} {_runs(rows)} (line"
         f"{'s' * (len(lines) > 1)} {_runs(lines)}); first, {what}.",
         stacklevel=2,
     )
@@ -136,10 +136,14 @@ def _bad_entry(table: TextTable, name: str, option: str, bad: BadEntry) -> str:
     where = f"in {bad.count} rows, {first}" if first else table.where(bad.index)
     if bad.reason:
         return f"{table.path}: column `{name}`: '{entry}' {bad.reason} ({where})."
-    cure = "; dates are for --input" if is_date(entry) and option != "--input" else ""
+    needs = "numbers"
+    if option == "--input":
+        needs = "numbers, or dates as 2024-05-01"
+    elif is_date(entry):
+        needs = "numbers; dates are for --input"
     return (
-        f"{table.path}: column `{name}` has text, '{entry}'; {option} needs numbers"
-        f"{cure} ({where})."
+        f"{table.path}: column `{name}` has text, '{entry}'; {option} needs {needs} "
+        f"({where})."
     )
 
 

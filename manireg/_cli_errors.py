@@ -35,8 +35,6 @@ def clean_errors() -> Iterator[None]:
         message = str(error)
     except RuntimeError as error:
         message = _reason(str(error))
-        if "RESOURCE_EXHAUSTED" in message or "out of memory" in message.lower():
-            message = _out_of_memory(message)
     _say(message, "red")
     raise typer.Exit(2)
 
@@ -64,15 +62,18 @@ def _say(message: str, colour: str) -> None:
 
 
 def _reason(message: str) -> str:
-    """Equinox writes its message before a ruler, after a paragraph of its own and the
-    name of the error."""
-    message = message.split("\n---")[0].strip()
-    return message.split("equinox.EquinoxRuntimeError: ")[-1]
+    """What happened, without what Equinox and JAX write around it."""
+    reason = message.split("EquinoxRuntimeError: ")[-1].split("\n---")[0].strip()
+    if "RESOURCE_EXHAUSTED" in reason or "out of memory" in reason.lower():
+        return _out_of_memory(reason)
+    # our own messages name what failed: `fit: ...`
+    ours = re.match(r"[a-z_]+: ", reason)
+    return reason if ours else f"the computation failed: {reason}"
 
 
 def _out_of_memory(message: str) -> str:
-    asked = re.search(r"(\d+ bytes|[\d.]+ ?[KMGT]i?B)", message)
-    size = f" ({asked[1]} more were asked for)" if asked else ""
+    asked = re.search(r"\d+ bytes|[\d.]+ ?[KMGT]i?B", message)
+    size = f" ({asked[0]} were asked for)" if asked else ""
     return (
         f"out of memory{size}. Use fewer rows, predictions or --centres, or a machine "
         "with more memory."

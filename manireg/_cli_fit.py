@@ -104,8 +104,8 @@ def fit(
         check_written(picture, out)
         if out.exists() and data.exists() and out.samefile(data):
             raise ValueError(f"--out {out} is the table itself; name another file.")
-        option, outputs = _outputs(output, lat_lon)
         table = read_text_table(data)
+        option, outputs = _outputs(output, lat_lon)
         inputs = [find(table, name, "--input") for name in split_names(input)]
         outputs = [find(table, name, option) for name in outputs]
         _check_once(inputs + outputs)

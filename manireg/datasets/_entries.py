@@ -29,9 +29,9 @@ _ANGLE = re.compile(
 _PLAIN = re.compile(r"[+-]?[\d.,]*\d[\d.,]*(e[+-]?\d+)?", re.IGNORECASE)
 _FORTRAN = re.compile(r"([+-]?[\d.]+)[dD]([+-]\d+)")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:[ ']\d{3})+(?:[.,]\d*)?")
+_CLOCK = r"\d{1,2}(:?\d{2}(:?\d{2}([.,]\d{1,9})?)?)?\s?(Z|UTC|[+-]\d{2}(:?\d{2})?)?"
 _DATE = re.compile(
-    r"\d{4}([-/])\d{1,2}(\1\d{1,2}([T ]\d{2}(:?\d{2}(:?\d{2}([.,]\d{1,9})?)?)?"
-    r"\s?(Z|[+-]\d{2}(:?\d{2})?)?)?)?"
+    rf"\d{{4}}([-/])\d{{1,2}}(\1\d{{1,2}}([T ]{_CLOCK})?)?|\d{{8}}T{_CLOCK}"
 )
 _LATITUDE = re.compile(r"(?<![a-z])[a-z]?lat(itude)?(?![a-z])", re.IGNORECASE)
 _LONGITUDE = re.compile(r"(?<![a-z])[a-z]?(lon|long|lng|longitude)(?![a-z])", re.I)

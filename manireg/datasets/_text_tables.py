@@ -177,7 +177,7 @@ def _row_names(names: list[str], records, separator: str) -> bool:
         return False
     firsts = [record[0] for _, record in records]
     if not any(map(is_data, firsts)):
-        return True
+        return len(set(firsts)) == len(firsts)
     return separator != "," and firsts == [str(i + 1) for i in range(len(firsts))]
 
 
