@@ -85,10 +85,8 @@ def complete(table: TextTable, names: list[str], missing: Missing) -> TextTable:
         raise ValueError(
             f"{table.path}: no row has values in all of {', '.join(names)}; first, {what}."
         )
-    rows, lines = (
-        _runs([table.rows[i] for i in left_out]),
-        [table.lines[i] for i in left_out],
-    )
+    rows = [table.rows[i] for i in left_out]
+    lines = [table.lines[i] for i in left_out]
     warnings.warn(
         f"{table.path}: {len(left_out)} of {len(table.rows)} rows have missing values and "
         f"are left out: data row{'s' * (len(rows) > 1)} {_runs(rows)} (line"
