@@ -102,11 +102,9 @@ def axis_of(name: str, tables: Sequence[TextTable]) -> Axis:
 
 
 def lambda_unit(axes: Sequence[Axis]) -> str:
-    """What dates among the inputs say of the unit of lambda, length^(4 - m)."""
-    dates = [f"{a.name} in seconds since {a.start}" for a in axes if a.dates]
+    """Of a fit over `axes`, length^(4 - m), where all are dates."""
     power = {1: "s^3", 2: "s^2", 3: "s"}.get(len(axes), "")
-    unit = [power] * (len(dates) == len(axes) and power != "")
-    return ", ".join(unit + dates)
+    return power if all(axis.dates for axis in axes) else ""
 
 
 def _exact(table: TextTable, name: str, dates: bool) -> list[Decimal]:

@@ -17,6 +17,7 @@ from ._cli_errors import check_written, clean_errors
 from ._cli_report import report
 from ._cli_tables import Target, TargetName, read_target, write_table
 from ._shown import shown
+from .datasets._entries import is_data
 from .datasets._text_tables import TextTable, read_text_table
 
 Folds = Annotated[int, typer.Option(min=2, help="Folds of the cross-validation.")]
@@ -102,8 +103,7 @@ def fit(
         data, out = data.expanduser(), out.expanduser()
         picture = None if picture is None else picture.expanduser()
         check_written(picture, out)
-        if out.exists() and data.exists() and out.samefile(data):
-            raise ValueError(f"--out {out} is the table itself; name another file.")
+        _check_not_read(out, data, Path(predict))
         table = read_text_table(data)
         option, outputs = _outputs(output, lat_lon)
         inputs = [find(table, name, "--input") for name in split_names(input)]
@@ -146,9 +146,17 @@ def fit(
             _draw(picture, model, x.reshape(shape), there, axes)
             written.append(picture)
         summary = f"{len(x)} rows of {data.name}, {', '.join(inputs)} -> {target}"
-        report(
-            summary, model, cv, there.degrees, seconds, written, unit=lambda_unit(axes)
-        )
+        starts = [f"{a.name} in seconds since {a.start}" for a in axes if a.dates]
+        more = {"dates": ", ".join(starts)} if starts else {}
+        unit = lambda_unit(axes)
+        report(summary, model, cv, there.degrees, seconds, written, more, unit)
+
+
+def _check_not_read(out: Path, *tables: Path) -> None:
+    for table in tables:
+        table = table.expanduser()
+        if out.exists() and table.exists() and out.samefile(table):
+            raise ValueError(f"--out {out} is a table to read; name another file.")
 
 
 def _outputs(output: str | None, lat_lon: str | None) -> tuple[str, list[str]]:
@@ -187,7 +195,10 @@ def _number(lam: str) -> float:
 
 def _asked(predict: str, inputs: list[str], missing: Missing) -> TextTable:
     """The table of inputs to predict at."""
-    table = read_text_table(Path(predict))
+    file = Path(predict).expanduser()
+    if not file.is_file() and is_data(predict):
+        raise ValueError(f"--predict {predict} is no whole number, and no such file.")
+    table = read_text_table(file)
     return complete(table, [find(table, n, "--input") for n in inputs], missing)
 
 

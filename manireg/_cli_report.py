@@ -20,8 +20,8 @@ def report(
     more: dict[str, str] | None = None,
     unit: str = "",
 ) -> None:
-    """Of a fitted map: for `manireg demo` and `manireg fit`. `unit` is that of lambda,
-    where it is known."""
+    """Of a fitted map: for `manireg demo` and `manireg fit`. `unit` is that of
+    lambda, where it is known."""
 
     def error(distance) -> str:
         scale = 1.0 if degrees is None else degrees

@@ -124,9 +124,9 @@ def test_dates(written):
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
     given = [(noon + timedelta(seconds=0.25 * i)).isoformat() for i in range(9)]
     times, values, x, result = written(given, predict=17)
-    assert "s^3, time in seconds since 2024-05-01T12:00:00Z" in " ".join(
-        result.output.split()
-    )
+    printed = " ".join(result.output.split())
+    assert "dates time in seconds since 2024-05-01T12:00:00Z Eells" in printed
+    assert "lambda 0.30000000000000004 s^3 residual" in printed
     np.testing.assert_array_equal(x, 0.25 * np.arange(9))
     assert times[:3] == [
         "2024-05-01T12:00:00.000Z",

@@ -1,6 +1,7 @@
 """Tables as people have them, read by the command up to the fit."""
 
 import codecs
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -241,11 +242,11 @@ REFUSED = {
     ),
     "longitude in a latitude": (
         PLAIN.replace("-12.5", "12.5E"),
-        "column `lat`: '12.5E' has the hemisphere 'E', but letters are a latitude, N or S",
+        "column `lat`: '12.5E' has the hemisphere 'E', but the column is a latitude",
     ),
     "latitude in an age": (
         PLAIN.replace("\n2.5,", "\n2.5S,"),
-        "'2.5S' has the hemisphere 'S', but letters are for columns of latitude",
+        "'2.5S' has the hemisphere 'S', but the column is neither latitude nor",
     ),
     "sign and hemisphere": (
         PLAIN.replace("-12.5", "-12.5S"),
@@ -313,9 +314,38 @@ def test_names_with_commas(reach):
     assert_read(result)
 
 
-def test_the_table_is_not_overwritten(reach):
+def test_tables_are_not_overwritten(reach):
     result = reach(PLAIN, "--out", "data.csv")
-    assert "--out data.csv is the table itself" in result.stderr
+    assert "--out data.csv is a table to read; name another file." in result.stderr
+    Path("ages.csv").write_text("age\n1\n")
+    result = reach(
+        PLAIN, "--predict", "ages.csv", "--out", "../" + Path.cwd().name + "/ages.csv"
+    )
+    assert "ages.csv is a table to read; name another file." in result.stderr
+
+
+def test_predict_is_a_count_or_a_file(reach):
+    for count in ("1e3", "-5", "2.5"):
+        result = reach(PLAIN, f"--predict={count}")
+        assert (
+            f"--predict {count} is no whole number, and no such file." in result.stderr
+        )
+
+
+def test_constant_input(reach):
+    table = "age,lat,lon\n" + "1700000000.25,1,2\n1700000000.25,3,4\n"
+    assert "column `age` is constant, 1700000000.25." in reach(table).stderr
+
+
+def test_gaps_in_what_is_asked(reach):
+    Path("ages.csv").write_text("Age;note\n1,5;\n-;x\n2;\n")
+    result = reach(PLAIN, "--predict", "ages.csv")
+    assert_read(result)
+    assert "note: ages.csv: 1 of 3 rows have missing values" in result.stderr
+    assert "column `Age` is '-' in data row 2 (line 3)." in result.stderr
+    assert "--missing drop" in reach(
+        PLAIN, "--predict", "ages.csv", "--missing", "error"
+    ).stderr  # fmt: skip
 
 
 def test_read_table_keeps_texts(tmp_path):

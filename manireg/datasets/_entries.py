@@ -144,9 +144,11 @@ def _numeral(text: str, mark: str, letters: str) -> str:
         raise ValueError("")
     letter = ((angle["before"] or "") + (angle["after"] or "")).upper()
     if letter and letter not in list(letters):
-        of = {"NS": "a latitude, N or S", "EW": "a longitude, E or W"}
-        cure = of.get(letters, "for columns of latitude or longitude; give the number")
-        raise ValueError(f"has the hemisphere '{letter}', but letters are {cure}")
+        kinds = {"NS": "a latitude, N or S", "EW": "a longitude, E or W"}
+        of = kinds.get(
+            letters, "neither latitude nor longitude; give numbers with a sign"
+        )
+        raise ValueError(f"has the hemisphere '{letter}', but the column is {of}")
     if letter and angle["sign"]:
         raise ValueError("has a sign and a hemisphere; leave out one of them")
     parts = [float(angle[name] or 0) for name in ("degrees", "minutes", "seconds")]
