@@ -117,14 +117,14 @@ def fit(
         there = read_target(target, table, outputs, lat_lon is not None)
         w = _weights(table, weight[0]) if weight else None
         queries, texts = _queries(asked[0], axes) if asked else _grid(predict, x, axes)
-        everything = np.concatenate([x, queries])
-        lower, upper = everything.min(0), everything.max(0)
-        for axis, low, high in zip(axes, lower, upper, strict=True):
-            if low == high:
-                constant = axis.texts(lower[:1])[0]
+        for axis, values in zip(axes, x.T, strict=True):
+            if np.ptp(values) == 0:
+                constant = axis.texts(values[:1])[0]
                 raise ValueError(
                     f"{data}: input column `{axis.name}` is constant, {constant}."
                 )
+        everything = np.concatenate([x, queries])
+        lower, upper = everything.min(0), everything.max(0)
         one = len(inputs) == 1
         source = mr.Interval(lower[0], upper[0]) if one else mr.Box(lower, upper)
         shape = (-1,) if one else (-1, len(inputs))

@@ -97,6 +97,7 @@ READ = {
     "comment lines": "# poles\n# of one, plate\n"
     + PLAIN.replace("\n", "\n# more\n", 2),
     "MATLAB comments": "% poles\n" + PLAIN,
+    "C comments": "// poles\n" + PLAIN,
     "header in the comment": "# poles\n# " + PLAIN,
     "header in the comment, spaces": "# " + PLAIN.replace(",", " "),
     "header case and spaces": PLAIN.replace("age,lat,lon", " Age , LAT,Lon "),
@@ -335,6 +336,9 @@ def test_predict_is_a_count_or_a_file(reach):
 def test_constant_input(reach):
     table = "age,lat,lon\n" + "1700000000.25,1,2\n1700000000.25,3,4\n"
     assert "column `age` is constant, 1700000000.25." in reach(table).stderr
+    table = PLAIN.replace("lon\n", "lon,z\n").replace("0\n", "0,7\n")
+    table = table.replace("5\n", "5,7\n")
+    assert "column `z` is constant, 7." in reach(table, "--input", "age,z").stderr
 
 
 def test_gaps_in_what_is_asked(reach):

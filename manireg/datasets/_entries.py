@@ -33,8 +33,8 @@ _CLOCK = r"\d{1,2}(:?\d{2}(:?\d{2}([.,]\d{1,9})?)?)?\s?(Z|UTC|[+-]\d{2}(:?\d{2})
 _DATE = re.compile(
     rf"\d{{4}}([-/])\d{{1,2}}(\1\d{{1,2}}([T ]{_CLOCK})?)?|\d{{8}}T{_CLOCK}"
 )
-_LATITUDE = re.compile(r"(?<![a-z])[a-z]?lat(itude)?(?![a-z])", re.IGNORECASE)
-_LONGITUDE = re.compile(r"(?<![a-z])[a-z]?(lon|long|lng|longitude)(?![a-z])", re.I)
+_LATITUDE = re.compile(r"(?<![a-z])[ps]?lat(itude)?(?![a-z])", re.IGNORECASE)
+_LONGITUDE = re.compile(r"(?<![a-z])[ps]?(lon|long|lng|longitude)(?![a-z])", re.I)
 _TWO_WAYS = (
     "can be read in two ways, with a decimal or a thousands separator. Write a decimal "
     "point, and nothing between thousands"

@@ -12,7 +12,7 @@ from ._entries import Marks, is_data, is_missing, marks_of, tidy
 
 SEPARATORS = (",", ";", "\t", "|", " ")
 # Excel writes `#N/A` and the like where a formula has no value: no comments
-_COMMENT = re.compile(r"\s*(#(?!N/A|NA\b|DIV/0!|VALUE!|REF!|NUM!|NAME\?|NULL!)|%)")
+_COMMENT = re.compile(r"\s*(#(?!N/A|NA\b|DIV/0!|VALUE!|REF!|NUM!|NAME\?|NULL!)|%|//)")
 _EXCEL_HINT = re.compile(r'"?sep=(.)"?')
 _UNIT = re.compile(
     r"[\[(].*[\])]|°|%|(deg|rad|degree|radian)s?(/\w+)?|[num]?s|secs?|seconds?|mins?|"
@@ -46,10 +46,10 @@ class TextTable(NamedTuple):
 
 def read_text_table(path: Path) -> TextTable:
     """The table in a text file: separated by `,`, `;`, tabs, `|` or spaces; UTF-8,
-    UTF-16 with a byte order mark, or Windows-1252. Lines that are empty or start with
-    `#` or `%` do not count; the first other one is the header. Where that looks like the
-    data below it and the comment above it does not, the comment is the header
-    (`# age,lat,lon`). A line of units below the header is left out with a warning.
+    UTF-16 or Windows-1252. Lines that are empty or start with `#`, `%` or `//` do not
+    count; the first other one is the header. Where that looks like the data below it and
+    the comment above it does not, the comment is the header (`# age,lat,lon`). A line of
+    units below the header is left out with a warning.
 
     Raises `FileNotFoundError`, or a `ValueError` that names the file and the line."""
     path = path.expanduser()
@@ -58,7 +58,7 @@ def read_text_table(path: Path) -> TextTable:
     comments = {i: line for i, line in enumerate(lines, 1) if _COMMENT.match(line)}
     lines = ["" if i in comments else line for i, line in enumerate(lines, 1)]
     filled = [line for line in lines if line.strip()]
-    if filled and (hint := _EXCEL_HINT.fullmatch(filled[0].strip())):
+    if filled and (hint := _EXCEL_HINT.fullmatch(filled[0].strip(" "))):
         lines[lines.index(filled[0])] = ""
         separator = hint[1]
     else:
@@ -95,7 +95,8 @@ def _fields(line: str, separator: str) -> list[str]:
 
 
 def _separator(lines: list[str]) -> str:
-    """What splits most lines into as many fields as the first."""
+    """What splits most lines into as many fields as the first; half as good is one field
+    more, the name of a row."""
     best, most = ",", 0.0
     for separator in SEPARATORS:
         counts = [len(_fields(line, separator)) for line in lines]
@@ -162,7 +163,7 @@ def _commented_header(records, comments: dict[int, str], separator: str):
     above = [line for line in comments if records and line < records[0][0]]
     if not above:
         return None
-    names = _fields(comments[max(above)].lstrip("#% \t"), separator)
+    names = _fields(comments[max(above)].lstrip("#%/ \t"), separator)
     first = [is_data(field) for field in records[0][1]]
     second = [is_data(field) for field in records[min(1, len(records) - 1)][1]]
     alike = any(first) and first == second
