@@ -18,6 +18,7 @@ from ._cli_errors import check_written, clean_errors
 from ._cli_fit import Folds, Seed, fit
 from ._cli_register import register
 from ._cli_report import report
+from ._shown import shown
 
 app = typer.Typer(
     name="manireg",
@@ -69,6 +70,7 @@ def demo(
     poles are running means, so neighbours share data and would not be independent.
     """
     with clean_errors():
+        out = out.expanduser()
         check_written(out)
         path = datasets.polar_wander(plate)
         x, y, w = path.ages, path.directions, path.weights
@@ -84,7 +86,7 @@ def demo(
             model, x, y, a95=path.a95, label="age (million years)"
         )
         plot.save(picture, out)
-        data = f"{len(x)} poles of {plate}, 0 to {x[-1]:.0f} million years ago"
+        data = f"{len(x)} poles of {plate}, 0 to {shown(x[-1])} million years ago"
         inside = f"{np.sum(error < path.a95)} of {len(x)} poles"
         cones = {"path inside the 95 % cone of": inside}
         report(data, model, cv, np.degrees(1.0), seconds, [out], cones)

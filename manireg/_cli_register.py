@@ -10,10 +10,10 @@ import typer
 import manireg as mr
 
 from . import plot
+from ._cli_columns import has, numbers
 from ._cli_errors import check_written, clean_errors
 from ._cli_report import print_rows
-from ._cli_tables import numbers
-from .datasets import read_table
+from .datasets._text_tables import read_text_table
 
 
 def register(
@@ -103,9 +103,8 @@ def register(
 
 
 def _read_landmarks(file: Path):
-    columns = read_table(file)
-    if {"source", "target"} <= set(columns):
-        pairs = numbers(columns, ["source", "target"], "--landmarks", file)
-        return pairs.astype(int).T
-    both = numbers(columns, ["sx", "sy", "sz", "tx", "ty", "tz"], "--landmarks", file)
+    table, option = read_text_table(file), "--landmarks"
+    if has(table, "source", "target"):
+        return numbers(table, ["source", "target"], option).astype(int).T
+    both = numbers(table, ["sx", "sy", "sz", "tx", "ty", "tz"], option)
     return both[:, :3], both[:, 3:]

@@ -7,6 +7,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ._shown import shown
+
 
 def report(
     data: str,
@@ -16,19 +18,23 @@ def report(
     seconds: float,
     files: list[Path],
     more: dict[str, str] | None = None,
+    unit: str = "",
 ) -> None:
-    """Of a fitted map: for `manireg demo` and `manireg fit`."""
+    """Of a fitted map: for `manireg demo` and `manireg fit`. `unit` is that of
+    lambda, where it is known."""
 
-    def shown(error) -> str:
-        unit = 1.0 if degrees is None else degrees
-        return f"{float(error) * unit:.3g}" + ("" if degrees is None else " degrees")
+    def error(distance) -> str:
+        scale = 1.0 if degrees is None else degrees
+        return f"{float(distance) * scale:.3g}" + (
+            "" if degrees is None else " degrees"
+        )
 
     rows = {"data": data}
-    chosen = " (cross-validation)" if cv is not None else ""
-    rows["lambda"] = f"{float(model.lam):.4g}{chosen}"
+    chosen = "(cross-validation)" if cv is not None else ""
+    rows["lambda"] = " ".join(filter(None, [shown(float(model.lam)), unit, chosen]))
     if cv is not None:
-        rows["held-out error, mean"] = shown(cv.score)
-    rows["residual, rms"] = shown(np.sqrt(model.energies.loss))
+        rows["held-out error, mean"] = error(cv.score)
+    rows["residual, rms"] = error(np.sqrt(model.energies.loss))
     rows |= more or {}
     rows["Eells energy"] = f"{float(model.energies.eells):.4g}"
     rows["off the manifold"] = f"{float(model.energies.off_manifold):.1e}"
@@ -42,4 +48,4 @@ def print_rows(rows: dict[str, str], files: list[Path]) -> None:
     for name, value in rows.items():
         table.add_row(name, value)
     table.add_row("written", ", ".join(map(str, files)))
-    Console().print(table)
+    Console(markup=False).print(table)  # names have brackets of their own

@@ -1,5 +1,6 @@
 """Between the columns of a table and the points of a manifold, for the command line."""
 
+import csv
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
@@ -10,9 +11,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from . import manifolds
+from ._cli_columns import find, numbers
+from ._shown import shown
 from .datasets._tables import directions, unit
-
-Columns = dict[str, np.ndarray]
+from .datasets._text_tables import TextTable
 
 
 class TargetName(StrEnum):
@@ -35,31 +37,8 @@ class Target(NamedTuple):
     """Degrees of turn per unit of distance on the manifold; None where it has none."""
 
 
-def numbers(table: Columns, names: list[str], option: str, file: Path) -> np.ndarray:
-    """The columns `names` (k, len(names)), checked to be finite numbers."""
-    for name in names:
-        if name not in table:
-            there = ", ".join(table)
-            raise ValueError(
-                f"{file} has no column `{name}` for {option}. It has: {there}."
-            )
-        if table[name].dtype.kind != "f":
-            found = table[name][0]
-            raise ValueError(
-                f"{file}: column `{name}` has text, '{found}'; {option} needs numbers."
-            )
-        bad = np.flatnonzero(~np.isfinite(table[name]))
-        if bad.size:
-            raise ValueError(
-                f"{file}: column `{name}` is empty or not finite in {bad.size} of "
-                f"{len(table[name])} rows, first in data row {bad[0] + 1}. Remove these"
-                " rows."
-            )
-    return np.stack([table[name] for name in names], axis=-1)
-
-
 def read_target(
-    name: TargetName, table: Columns, outputs: list[str], lat_lon: bool, file: Path
+    name: TargetName, table: TextTable, outputs: list[str], lat_lon: bool
 ) -> Target:
     """The target `name` with the data in the columns `outputs` of `table`."""
     option = "--lat-lon" if lat_lon else "--output"
@@ -67,31 +46,34 @@ def read_target(
         raise ValueError("--lat-lon is for --target sphere; use --output.")
     if lat_lon and len(outputs) != 2:
         raise ValueError(f"--lat-lon takes two columns, found {len(outputs)}.")
-    values = numbers(table, outputs, option, file)
+    values = numbers(table, outputs, option, ("NS", "EW") if lat_lon else None)
     read = {
         TargetName.sphere: _lat_lon if lat_lon else _sphere,
         TargetName.rotations: _rotations,
         TargetName.circle: _circle,
         TargetName.euclidean: _euclidean,
     }
-    return read[name](values, tuple(outputs), file)
+    columns = tuple(find(table, column, option) for column in outputs)
+    return read[name](values, columns, table)
 
 
-def _sphere(values: np.ndarray, columns: tuple[str, ...], file: Path) -> Target:
+def _sphere(values: np.ndarray, columns: tuple[str, ...], table: TextTable) -> Target:
     if len(columns) < 2:
         raise ValueError("--target sphere takes unit vectors: two columns or more.")
     points = _unit(
-        values, "unit vectors; for latitude and longitude use --lat-lon", file
+        values, "unit vectors; for latitude and longitude use --lat-lon", table
     )
     sphere = manifolds.Sphere(len(columns) - 1)
     return Target(sphere, points, columns, np.asarray, np.degrees(1.0))
 
 
-def _lat_lon(values: np.ndarray, columns: tuple[str, ...], file: Path) -> Target:
-    if np.abs(values[:, 0]).max() > 90:
+def _lat_lon(values: np.ndarray, columns: tuple[str, ...], table: TextTable) -> Target:
+    beyond = np.flatnonzero(np.abs(values[:, 0]) > 90)
+    if beyond.size:
         raise ValueError(
-            f"{file}: latitude `{columns[0]}` leaves [-90, 90] degrees. Give --lat-lon "
-            "as latitude,longitude."
+            f"{table.path}: latitude `{columns[0]}` leaves [-90, 90] degrees. Give "
+            f"--lat-lon as latitude,longitude (found {shown(values[beyond[0], 0])} in "
+            f"{table.where(int(beyond[0]))})."
         )
     points = directions(*values.T)
     start = _first_longitude(values[:, 1])
@@ -103,7 +85,7 @@ def _lat_lon(values: np.ndarray, columns: tuple[str, ...], file: Path) -> Target
     return Target(manifolds.Sphere(2), points, columns, decode, np.degrees(1.0))
 
 
-def _circle(values: np.ndarray, columns: tuple[str, ...], file: Path) -> Target:
+def _circle(values: np.ndarray, columns: tuple[str, ...], table: TextTable) -> Target:
     if len(columns) != 1:
         raise ValueError("--target circle takes one column, an angle in degrees.")
     angle, start = np.radians(values[:, 0]), _first_longitude(values[:, 0])
@@ -115,11 +97,13 @@ def _circle(values: np.ndarray, columns: tuple[str, ...], file: Path) -> Target:
     return Target(manifolds.Sphere(1), points, columns, decode, np.degrees(1.0))
 
 
-def _rotations(values: np.ndarray, columns: tuple[str, ...], file: Path) -> Target:
+def _rotations(
+    values: np.ndarray, columns: tuple[str, ...], table: TextTable
+) -> Target:
     degrees = np.degrees(1 / np.sqrt(2))
     so3 = manifolds.SpecialOrthogonal(3)
     if len(columns) == 4:
-        quaternions = _unit(values, "unit quaternions w,x,y,z", file)
+        quaternions = _unit(values, "unit quaternions w,x,y,z", table)
         points = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
         return Target(so3, points, columns, _quaternions, degrees)
     if len(columns) != 9:
@@ -129,11 +113,14 @@ def _rotations(values: np.ndarray, columns: tuple[str, ...], file: Path) -> Targ
         )
     matrices = values.reshape(-1, 3, 3)
     points = np.asarray(so3.project(jnp.asarray(matrices)))
-    _close(np.abs(points - matrices).max((1, 2)), "rotation matrices, row by row", file)
+    gap = np.abs(points - matrices).max((1, 2))
+    _close(gap, "rotation matrices, row by row", table)
     return Target(so3, points, columns, lambda p: p.reshape(-1, 9), degrees)
 
 
-def _euclidean(values: np.ndarray, columns: tuple[str, ...], file: Path) -> Target:
+def _euclidean(
+    values: np.ndarray, columns: tuple[str, ...], table: TextTable
+) -> Target:
     space = manifolds.Euclidean(len(columns))
     return Target(space, values, columns, np.asarray, None)
 
@@ -145,17 +132,18 @@ def _quaternions(p: np.ndarray) -> np.ndarray:
     return q * np.concatenate([[1.0], np.cumprod(turns)])[:, None]
 
 
-def _unit(values: np.ndarray, what: str, file: Path) -> np.ndarray:
-    _close(np.abs(np.linalg.norm(values, axis=-1) - 1), what, file)
+def _unit(values: np.ndarray, what: str, table: TextTable) -> np.ndarray:
+    _close(np.abs(np.linalg.norm(values, axis=-1) - 1), what, table)
     return unit(values)
 
 
-def _close(distance: np.ndarray, what: str, file: Path) -> None:
-    worst = int(np.argmax(distance))
-    if distance[worst] > 0.01:
+def _close(distance: np.ndarray, what: str, table: TextTable) -> None:
+    bad = np.flatnonzero(distance > 0.01)
+    if bad.size:
         raise ValueError(
-            f"{file}: the output columns are not {what}: data row {worst + 1} is off "
-            f"by {distance[worst]:.2g}."
+            f"{table.path}: the output columns are not {what}: {bad.size} of "
+            f"{len(distance)} rows are off, first {table.where(int(bad[0]))} by "
+            f"{distance[bad[0]]:.2g}."
         )
 
 
@@ -168,6 +156,10 @@ def _degrees(x: np.ndarray, y: np.ndarray, start: float) -> np.ndarray:
     return (np.degrees(np.arctan2(y, x)) - start) % 360 + start
 
 
-def write_table(path: Path, columns: list[str], rows: np.ndarray) -> None:
-    header = ",".join(columns)
-    np.savetxt(path, rows, "%.10g", delimiter=",", header=header, comments="")
+def write_table(path: Path, columns: list[str], texts: list[list[str]], values) -> None:
+    """`texts`, a list for each of the first columns, then `values` (n, m)."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        for *first, rest in zip(*texts, values, strict=True):
+            writer.writerow([*first, *map(shown, rest)])

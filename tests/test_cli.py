@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import warnings
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 
 import manireg as mr
 from manireg._cli import app
+from manireg._cli_errors import clean_errors
 from manireg.datasets import read_table
 
 T = np.linspace(0, 2, 12)
@@ -175,10 +177,12 @@ OUTPUT = ["--output", "x,y,z"]
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([*OUTPUT, "--input", "Age"], "no column `Age` for --input. It has: age, x"),
+        ([*OUTPUT, "--input", "ages"], "no column `ages` for --input. It has: age, x"),
+        ([*OUTPUT, "--input", "x"], "--input, --output: column `x` is named twice."),
         (["--output", "x,y,q"], "no column `q` for --output. It has: age, x, y, z, w,"),
         ([*OUTPUT, "--weights", "name"], "column `name` has text, 'a'; --weights"),
-        ([*OUTPUT, "--weights", "gap"], "column `gap` is empty or not finite in 1 of"),
+        ([*OUTPUT, "--weights", "gap", "--missing", "error"],
+         "column `gap` is empty or not finite in 1 of"),
         ([*OUTPUT, "--weights", "bad"], "column `bad` has -1 in data row 2. Remove"),
         (["--output", "x,y,bad"], "not unit vectors; for latitude and longitude use"),
         (["--output", "x,y", "--lat-lon", "x,y"], "Give either --output or --lat-lon"),
@@ -212,17 +216,82 @@ def test_mistakes(tmp_path, monkeypatch, arguments, message):
     assert result.stderr.startswith("manireg: ") and result.stderr.count("\n") == 1
 
 
-def test_failed_fit(sphere_csv, monkeypatch):
-    def fail(*_, **__):
-        return eqx.error_if(jnp.zeros(3), jnp.array(True), "Nonlinear solve diverged.")
+STOPPED = """fit: Newton stopped after 60 steps at a gradient of 0.1.
 
+Take a larger `lam`."""
+
+
+def stop(x):
+    return eqx.error_if(x, x == 0, STOPPED)
+
+
+def raises(error):
+    def fail(*_, **__):
+        raise error
+
+    return fail
+
+
+@pytest.mark.parametrize(
+    ("fail", "said"),
+    [
+        (lambda *_, **__: stop(jnp.zeros(())), " ".join(STOPPED.split())),
+        (lambda *_, **__: eqx.filter_jit(stop)(jnp.zeros(())), " ".join(STOPPED.split())),
+        (raises(RuntimeError(STOPPED)), " ".join(STOPPED.split())),
+        (
+            raises(RuntimeError("INTERNAL: lost")),
+            "the computation failed: INTERNAL: lost",
+        ),
+        (
+            raises(RuntimeError("RESOURCE_EXHAUSTED: allocating 800 bytes.")),
+            "out of memory (800 bytes were asked for). Use fewer rows, predictions or "
+            "--centres, or a machine with more memory.",
+        ),
+        (
+            raises(MemoryError("Unable to allocate 74.5 GiB for an array")),
+            "out of memory (74.5 GiB were asked for). Use fewer rows, predictions or "
+            "--centres, or a machine with more memory.",
+        ),
+        (
+            raises(MemoryError()),
+            "out of memory. Use fewer rows, predictions or --centres, or a machine with "
+            "more memory.",
+        ),
+        (raises(ModuleNotFoundError("No module named 'networkx'", name="networkx")),
+         "No module named 'networkx'. Install it: pip install networkx."),
+        (raises(PermissionError(13, "Permission denied", "a.csv")),
+         "[Errno 13] Permission denied: 'a.csv'"),
+    ],
+)  # fmt: skip
+def test_failed_fit(sphere_csv, monkeypatch, fail, said):
     monkeypatch.setattr(mr, "fit", fail)
     result = run(
         "fit", sphere_csv, "--target", "sphere", "--input", "age", *OUTPUT, "--lam", 1
     )
     assert result.exit_code == 2
-    expected = "manireg: the fit failed: Nonlinear solve diverged. Try a larger --lam."
-    assert result.stderr.splitlines()[-1] == expected
+    assert result.stderr.splitlines()[-1] == f"manireg: {said}"
+
+
+def test_interrupt(sphere_csv, monkeypatch):
+    monkeypatch.setattr(mr, "fit", raises(KeyboardInterrupt()))
+    result = run(
+        "fit", sphere_csv, "--target", "sphere", "--input", "age", *OUTPUT, "--lam", 1
+    )
+    assert result.exit_code == 130
+    assert result.stderr.splitlines()[-1] == "manireg: interrupted."
+
+
+def test_warnings_are_notes(capsys):
+    with clean_errors():
+        for _ in range(2):
+            warnings.warn("the basis limits\nthe fit.", stacklevel=1)
+    assert capsys.readouterr().err == "manireg: note: the basis limits the fit.\n"
+
+
+def test_files_that_cannot_be_written(sphere_csv, tmp_path):
+    arguments = ["--target", "sphere", "--input", "age", *OUTPUT, "--out", tmp_path]
+    result = run("fit", sphere_csv, *arguments)
+    assert result.exit_code == 2 and "is a folder; name a file." in result.stderr
 
 
 def test_missing_file_and_plate(tmp_path):

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -234,6 +236,12 @@ def test_data_folder_is_found_above(tmp_path, monkeypatch):
     for here in ("main", "main/notebooks"):
         monkeypatch.chdir(tmp_path / here)
         assert datasets.data_folder() == tmp_path / "shared" / "data"
+
+
+def test_plates_are_those_of_the_table():
+    folder = Path(datasets.__file__).parent
+    table = datasets.read_table(folder / "s2_polar_wander_torsvik2008.csv")
+    assert list(datasets.polar_wander_plates()) == sorted(set(table["plate"]))
 
 
 def test_read_table(tmp_path):

@@ -11,13 +11,13 @@ from pathlib import Path
 import manireg
 
 FLOORS: Sequence[str] = """
-_numerics _sweep manifolds _sources _frames _charts _checks _cloud_paths
+_shown _numerics _sweep manifolds _sources _frames _charts _checks _cloud_paths
 _block_banded _harmonic_curves _geodesic _farthest_points _point_sets _domain
 _energy _local_polynomials _jets _densities _sparse _linear_solvers _tension _problem
 _local_target _objective _assembly _hessian _newton _continuation _minimise _solve
 _geodesic_loss _folds _selection _leave_one_out _register _fit baselines datasets
-plot __init__ _cli_tables _cli_errors _cli_report _cli_fit _cli_register _cli
-__main__
+plot __init__ _cli_columns _cli_axes _cli_tables _cli_errors _cli_report
+_cli_fit _cli_register _cli __main__
 """.split()
 ROOT = Path(manireg.__path__[0])
 FILES = {
@@ -60,6 +60,10 @@ def test_no_cycles():
 
 
 def test_import_is_light():
-    code = "import sys, manireg; print({'matplotlib', 'typer'} & {*sys.modules})"
+    code = (
+        "import sys, manireg; slow = {'matplotlib', 'typer', 'pandas'}\n"
+        "print(slow & {*sys.modules})\n"
+        "import manireg._cli; print({'pandas'} & {*sys.modules})"
+    )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert run.stdout == "set()\n", run.stderr
+    assert run.stdout == "set()\nset()\n", run.stderr

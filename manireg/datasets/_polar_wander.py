@@ -9,6 +9,16 @@ from jaxtyping import ArrayLike, Float
 
 from ._tables import directions, read_table, rows_of
 
+PLATES = (
+    "australia",
+    "europe",
+    "india",
+    "north_america",
+    "south_africa",
+    "south_africa_alt",
+    "south_america",
+)
+
 
 class PolarWander(NamedTuple):
     """Where the south pole stood, seen from one plate."""
@@ -40,7 +50,7 @@ def polar_wander(plate: str = "india") -> PolarWander:
 
 def polar_wander_plates() -> tuple[str, ...]:
     """The names that `polar_wander` knows."""
-    return tuple(str(name) for name in np.unique(_bundled()["plate"]))
+    return PLATES
 
 
 def a95_weights(a95: Sequence[float] | ArrayLike) -> Float[np.ndarray, " n"]:

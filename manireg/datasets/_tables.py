@@ -1,6 +1,5 @@
 """Tables on disk: one reader, and where the shared data lie."""
 
-import csv
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,41 +8,32 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike
 
+from ._entries import BadEntry, hemispheres, numerals
+from ._text_tables import read_text_table
+
 
 def read_table(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """The columns of a CSV file by name: float64 where every entry is a number or empty
-    (then NaN), strings otherwise. The first line that is neither empty nor starts with
-    `#` is the header.
+    """The columns of a table by name: float64 where every entry is a number or missing
+    (then NaN), strings otherwise.
+
+    Fields are separated by `,`, `;`, tabs, `|` or spaces; the text is UTF-8, UTF-16 or
+    Windows-1252. The first line that is neither empty nor starts with `#` or `%` is the
+    header, or the comment above it where the names stand there. Missing is what is
+    empty, `NA`, `nan`, `null`, `-` and the like. Numbers may have decimal commas (where
+    that is clear), degree signs and, in columns of latitude or longitude by name,
+    hemispheres: `12.5S` is -12.5.
 
     Raises `FileNotFoundError`, or a `ValueError` that names the file and the line."""
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file.")
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        lines = ((i, line) for i, line in enumerate(file, 1) if line.strip())
-        numbered = [(i, line) for i, line in lines if not line.startswith("#")]
-    rows = list(csv.reader(line for _, line in numbered))
-    if len(rows) < 2:
-        raise ValueError(f"{path}: needs a header line and at least one row.")
-    header = [name.strip() for name in rows[0]]
-    for name in header:
-        if header.count(name) > 1:
-            raise ValueError(f"{path}: the header has the column `{name}` twice.")
-    for (line, _), row in zip(numbered, rows, strict=True):
-        if len(row) != len(header):
-            raise ValueError(
-                f"{path}, line {line}: {len(row)} fields, but the header has "
-                f"{len(header)} columns."
-            )
-    columns = zip(*rows[1:], strict=True)
-    return dict(zip(header, map(_numbers_or_strings, columns), strict=True))
+    table = read_text_table(Path(path))
 
+    def converted(name: str, entries: list[str]) -> np.ndarray:
+        try:
+            texts = numerals(entries, table.marks, hemispheres(name))
+        except BadEntry:
+            return np.array(entries)
+        return np.array([float(text) if text else np.nan for text in texts])
 
-def _numbers_or_strings(column: tuple[str, ...]) -> np.ndarray:
-    try:
-        return np.array([float(entry) if entry.strip() else np.nan for entry in column])
-    except ValueError:
-        return np.array([entry.strip() for entry in column])
+    return {name: converted(name, entries) for name, entries in table.columns.items()}
 
 
 def data_folder() -> Path:
