@@ -70,9 +70,14 @@ def checked_triangles(triangles, points) -> np.ndarray:
 
 def corner_areas(points, triangles) -> np.ndarray:
     """A third of the triangles around each point."""
-    a, b, c = np.moveaxis(points[triangles], 1, 0)
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    return np.bincount(triangles.ravel(), np.repeat(area / 3, 3), minlength=len(points))
+    third = np.repeat(triangle_areas(points[triangles]) / 3, 3)
+    return np.bincount(triangles.ravel(), third, minlength=len(points))
+
+
+def triangle_areas(corners) -> np.ndarray:
+    """Of triangles by their corners `(T, 3, 3)`."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def check_areas(areas, points) -> None:
