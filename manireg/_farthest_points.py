@@ -5,6 +5,7 @@ from scipy.spatial import KDTree
 from scipy.special import gamma
 
 NEIGHBOURS = 8  # in a local spacing
+SHARERS = 8  # points that are nearest to one at the same time, at most
 EQUAL = 1e-12  # squared distances that differ by a smaller share are equal
 
 
@@ -37,6 +38,14 @@ def farthest_indices(
         closer = np.minimum(distance[near], np.sum((cloud[near] - cloud[new]) ** 2, 1))
         distance[near], score[near] = closer, closer * scale[near]
     return chosen
+
+
+def equally_near(points: np.ndarray, queries: np.ndarray) -> tuple:
+    """Of each query the nearest few points, `(Q, k)`, and which of them are as near as the
+    nearest, but for rounding."""
+    distance, near = KDTree(points).query(queries, k=min(SHARERS, len(points)))
+    distance, near = (a.reshape(len(queries), -1) for a in (distance, near))
+    return near, distance <= distance[:, :1] * (1 + 1e-9) + rounding(points)
 
 
 def rounding(points: np.ndarray) -> float:

@@ -13,9 +13,9 @@ from scipy.stats import qmc
 from ._charts import Chart
 from ._farthest_points import (
     data_spacings,
+    equally_near,
     farthest_indices,
     farthest_points,
-    rounding,
 )
 from ._frames import tangent_frames
 from ._sources import Source
@@ -29,7 +29,6 @@ Sample = tuple[
 
 CANDIDATES = 12  # random points per point wanted, of which farthest ones are taken
 TANGENT_SAMPLES = 256  # points per Voronoi cell volume
-SHARERS = 6  # nearest points that may share an area
 
 
 def axis_counts(chart: Chart, n: int) -> list[int]:
@@ -99,7 +98,8 @@ def of_cloud(source: PointCloud, n: int, around, graded: bool) -> Sample:
         points, areas = _in_triangles(source, n)
     first, spacing = [], 1.0
     if around is not None:
-        first = np.unique(KDTree(points).query(np.asarray(around))[1])
+        near, equal = equally_near(points, np.asarray(around))
+        first = np.unique(np.min(np.where(equal, near, len(points)), axis=1))
     if len(first) > n:
         first = []
     if graded:
@@ -117,14 +117,17 @@ def of_cloud(source: PointCloud, n: int, around, graded: bool) -> Sample:
 
 def _in_triangles(source: PointCloud, n: int) -> tuple[np.ndarray, np.ndarray]:
     """At least `n` points in the triangles, each cut into equal ones, and the areas of
-    these. Their sum is that of the cloud."""
+    these. Their sum is that of the cloud. The points are a little beside the centroids,
+    which several vertices may be nearest to: rounding would choose the patch."""
     corners = np.asarray(source.points)[np.asarray(source.triangles)]
     cuts = int(np.ceil(np.sqrt(n / len(corners))))
     i, j = np.indices((cuts, cuts)).reshape(2, -1)
     upright, upturned = i + j < cuts, i + j < cuts - 1
     u, v = (
-        np.concatenate([a[upright] + 1 / 3, a[upturned] + 2 / 3]) / cuts for a in (i, j)
+        np.concatenate([a[upright] + 1 / 3, a[upturned] + 2 / 3]) + beside
+        for a, beside in ((i, 0.02), (j, -0.005))
     )
+    u, v = u / cuts, v / cuts
     share = np.stack([1 - u - v, u, v], axis=1)
     points = np.einsum("qc,tcs->tqs", share, corners).reshape(-1, 3)
     areas = np.repeat(triangle_areas(corners), len(share))
@@ -133,9 +136,7 @@ def _in_triangles(source: PointCloud, n: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _shared_out(points, areas, owners) -> np.ndarray:
     """The area of each point goes to the nearest owner; owners equally near share it."""
-    distance, near = KDTree(owners).query(points, k=min(SHARERS, len(owners)))
-    distance, near = distance.reshape(len(points), -1), near.reshape(len(points), -1)
-    equal = distance <= distance[:, :1] * (1 + 1e-9) + rounding(points)
+    near, equal = equally_near(owners, points)
     share = equal / np.sum(equal, axis=1, keepdims=True) * areas[:, None]
     return np.bincount(near.ravel(), share.ravel(), minlength=len(owners))
 

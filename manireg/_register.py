@@ -202,6 +202,7 @@ class _Surface(NamedTuple):
     """A point cloud, and the mesh it was given by."""
 
     cloud: PointCloud
+    """Without `of_vertex`: programs are shared whatever the mesh repeats or leaves out."""
     vertices: Float[np.ndarray, "n 3"]
     of_vertex: Int[np.ndarray, " n"]
     """The point of each vertex."""
@@ -213,7 +214,7 @@ def _surface(name: str, surface: Surface) -> _Surface:
     if isinstance(surface, PointCloud):
         points, numbers = np.asarray(surface.points), surface.of_vertex
         numbers = np.arange(len(points)) if numbers is None else np.asarray(numbers)
-        return _Surface(surface, points[numbers], numbers, None, True)
+        return _Surface(_bare(surface), points[numbers], numbers, None, True)
     numbered = isinstance(surface, trimesh.Trimesh) or numbers_vertices(surface)
     try:
         mesh = as_mesh(surface)
@@ -221,7 +222,13 @@ def _surface(name: str, surface: Surface) -> _Surface:
     except ValueError as error:
         raise ValueError(str(error).replace("mesh:", f"{name}:", 1)) from error
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
-    return _Surface(cloud, vertices, np.asarray(cloud.of_vertex), faces, numbered)
+    of_vertex = np.asarray(cloud.of_vertex)
+    return _Surface(_bare(cloud), vertices, of_vertex, faces, numbered)
+
+
+def _bare(cloud: PointCloud) -> PointCloud:
+    is_none = lambda leaf: leaf is None
+    return eqx.tree_at(lambda c: c.of_vertex, cloud, None, is_leaf=is_none)
 
 
 def _normals(cloud: PointCloud, points) -> Float[np.ndarray, "l 3"]:

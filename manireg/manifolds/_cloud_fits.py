@@ -146,6 +146,15 @@ def _ranks(distance) -> np.ndarray:
     return np.round(np.log(np.maximum(distance, least)) / EQUAL).astype(int)
 
 
+def plane_frames(normals) -> np.ndarray:
+    """Orthonormal columns `(P, s, m)` across the normals. The decomposition jumps where a
+    component changes its sign, so rounding must not decide on that."""
+    snapped = np.where(np.abs(normals) < 1e-7, 0.0, normals)
+    frames = np.linalg.svd(snapped[:, None, :])[2][:, 1:, :].transpose(0, 2, 1)
+    along = np.einsum("ps,psm->pm", normals, frames)
+    return frames - normals[:, :, None] * along[:, None, :]
+
+
 def fitted_quadrics(points, normals, frames, near):
     """Slope and bending of each patch, by weighted least squares."""
     m = frames.shape[2]
@@ -163,11 +172,11 @@ def fitted_quadrics(points, normals, frames, near):
     design = np.concatenate([u, quadratic], axis=2)
     weighted = design * weights[:, :, None]
     gram = np.einsum("pki,pkj->pij", weighted, design)
-    # where too few neighbours are left the surface is flat
-    gram += (
-        1e-6 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(gram[0]))
-    )
-    gram += 1e-300 * np.eye(len(gram[0]))
+    # where too few neighbours are left the surface is flat; |slope|^2 + |bending|^2 does
+    # not depend on the frame
+    metric = np.append(np.ones(m), np.where(rows == cols, 1.0, 2.0))
+    ridge = 1e-6 * np.sum(np.diagonal(gram, axis1=1, axis2=2) / metric, axis=1) + 1e-300
+    gram += ridge[:, None, None] * np.diag(metric)
     rhs = np.einsum("pki,pk->pi", weighted, height)[:, :, None]
     solution = np.linalg.solve(gram, rhs)[:, :, 0]
     bending = np.zeros((len(points), m, m))

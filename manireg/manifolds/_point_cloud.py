@@ -21,6 +21,7 @@ from ._cloud_fits import (
     corner_areas,
     fitted_quadrics,
     mesh_neighbours,
+    plane_frames,
     voronoi_areas,
 )
 from ._generic import geodesic_exp
@@ -99,7 +100,7 @@ class PointCloud(AbstractManifold):
                 f"neighbours: must be at least {least} and less than the number of "
                 f"points, {len(points)}; found {neighbours}."
             )
-        frames = np.linalg.svd(normals[:, None, :])[2][:, 1:, :].transpose(0, 2, 1)
+        frames = plane_frames(normals)
         if triangles is None:
             near, distance = cloud_neighbours(points, neighbours)
             check_sides(points, normals, near[:, :12], distance[:, :12])

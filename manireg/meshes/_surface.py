@@ -64,13 +64,6 @@ def mesh_surface(mesh) -> MeshSurface:
     vertex, corners = np.unique(welded.triangles, return_inverse=True)
     triangles, x = corners.reshape(-1, 3), welded.x[vertex]
     normals, areas = _normals_and_areas(x, triangles)
-    lost = np.flatnonzero(np.linalg.norm(normals, axis=1) < 1e-6)
-    if len(lost):
-        raise ValueError(
-            f"mesh: at {len(lost)} vertices (first: {vertex[lost[0]]}) the triangles "
-            "around cancel out, so they have no normal; remove triangles that lie back "
-            "to back."
-        )
     of_vertex = np.searchsorted(vertex, welded.same)
     stray = vertex[np.minimum(of_vertex, len(vertex) - 1)] != welded.same
     of_vertex[stray] = KDTree(x).query(welded.x[stray])[1]
@@ -238,7 +231,8 @@ def _against_the_others(triangles) -> Bool[np.ndarray, " T"]:
 
 
 def _normals_and_areas(x, triangles):
-    """Normals are means over the angles around a point; not normalised."""
+    """Normals are means over the angles around a point, or where triangles lie back to
+    back and cancel that of one of them; not normalised."""
     corners = x[triangles]
     ahead = np.roll(corners, -1, axis=1) - corners
     back = np.roll(corners, 1, axis=1) - corners
@@ -246,9 +240,15 @@ def _normals_and_areas(x, triangles):
     size = np.linalg.norm(doubled, axis=1)
     cosine = np.sum(ahead * back, axis=2)
     angle = np.arctan2(size[:, None], cosine)
-    share = angle[:, :, None] * (doubled / size[:, None])[:, None]
+    normal = doubled / size[:, None]
+    share = angle[:, :, None] * normal[:, None]
     index, P = triangles.ravel(), len(x)
     sums = [np.bincount(index, s, minlength=P) for s in share.reshape(-1, 3).T]
     angles = np.bincount(index, angle.ravel(), minlength=P)
     areas = np.bincount(index, np.repeat(size / 6, 3), minlength=P)
-    return np.stack(sums, axis=1) / angles[:, None], areas
+    normals = np.stack(sums, axis=1) / angles[:, None]
+    lost = np.linalg.norm(normals, axis=1) < 1e-6
+    some = np.zeros(P, int)
+    some[index] = np.repeat(np.arange(len(triangles)), 3)
+    normals[lost] = normal[some[lost]]
+    return normals, areas
