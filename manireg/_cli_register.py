@@ -109,8 +109,8 @@ def _read_landmarks(file: Path):
         bad = np.flatnonzero(np.any(whole != pairs, axis=1))
         if len(bad):
             raise ValueError(
-                f"--landmarks: vertex numbers are whole, but row {bad[0] + 1} of {file} has "
-                f"{' and '.join(map(repr, pairs[bad[0]].tolist()))}."
+                f"--landmarks: vertex numbers are whole, but row {bad[0] + 1} of {file} "
+                f"has {' and '.join(map(repr, pairs[bad[0]].tolist()))}."
             )
         return whole.T
     both = numbers(columns, ["sx", "sy", "sz", "tx", "ty", "tz"], "--landmarks", file)

@@ -43,8 +43,9 @@ _FEW = 12  # centres any cloud may have
 
 def centres_of(source: Source, n: int, around=None, graded: bool = False) -> Domain:
     """About `n` quasi-uniform points of `source`, boundary included, as basis centres.
-    The weights are not meant for integration. Arguments as for `discretise`. A point cloud
-    without triangles gets at most a twelfth of its points: its quadrature has no others."""
+    The weights are not meant for integration. Arguments as for `discretise`. A point
+    cloud without triangles gets at most a twelfth of its points, as its quadrature has no
+    others."""
     _check_graded(source, around, graded)
     chart = chart_of(source, around)
     if chart is not None:

@@ -42,7 +42,9 @@ def check_orientation(
             "positions by hand)."
         )
     if reversed:
-        plane = "" if known else " If it is a mirror image of the source, mirror one mesh."
+        plane = (
+            "" if known else " If it is a mirror image of the source, mirror one mesh."
+        )
         raise ValueError(
             "target: by the landmarks its normals point to the other side than those of "
             "the source; triangles would come out inside out. Turn those of the mesh that "

@@ -159,8 +159,8 @@ def register(
 def _check_result(model: RegressionMap) -> None:
     if not np.all(np.isfinite(model.coefficients)):
         raise RuntimeError(
-            f"register: the fit at lambda {float(model.lam):.3g} ends in NaN; take a larger "
-            "`lam`, fewer `centres` or more `tension`."
+            f"register: the fit at lambda {float(model.lam):.3g} ends in NaN; take a "
+            "larger `lam`, fewer `centres` or more `tension`."
         )
     if model.result != optx.RESULTS.successful:
         warnings.warn(

@@ -27,7 +27,9 @@ def textured_obj():
     """A seam: on one half of the ball the vertices have other texture coordinates."""
     text = lines("v", V) + lines("vt", np.concatenate([V[:, :2], V[:, 1:]]))
     for triangle, east in zip(F, EAST):
-        text.append("f " + " ".join(f"{i + 1}/{i + 1 + len(V) * east}" for i in triangle))
+        text.append(
+            "f " + " ".join(f"{i + 1}/{i + 1 + len(V) * east}" for i in triangle)
+        )
     return text, V
 
 
@@ -55,6 +57,7 @@ def test_obj_files_keep_their_vertices(tmp_path, make):
     mesh = read_mesh(tmp_path / "ball.obj")
     np.testing.assert_array_equal(mesh.vertices, vertices)
     cloud = mr.PointCloud.from_mesh(tmp_path / "ball.obj")
+    assert cloud.of_vertex is not None
     assert len(cloud.points) == len(V) and len(cloud.of_vertex) == len(vertices)
     used = np.unique(mesh.faces)
     np.testing.assert_array_equal(cloud.points[cloud.of_vertex][used], vertices[used])
@@ -66,7 +69,9 @@ def test_polygons(tmp_path):
     n, k = 7, np.arange(49).reshape(7, 7)
     x, y = np.meshgrid(*[np.linspace(0, 1, n)] * 2, indexing="ij")
     vertices = np.stack([x, y, x * y], axis=-1).reshape(-1, 3)
-    quads = np.stack([k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]], -1).reshape(-1, 4)
+    quads = np.stack([k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]], -1).reshape(
+        -1, 4
+    )
     text = lines("v", vertices) + lines("f", quads + 1)
     (tmp_path / "sheet.obj").write_text("\n".join(text))
     mesh = read_mesh(tmp_path / "sheet.obj")
@@ -108,7 +113,9 @@ def doubled():
 
 def with_flaws():
     """A degenerate triangle, one without area, a copy of another one."""
-    faces = np.concatenate([F, [[3, 3, 5]], [[len(V), len(V) + 1, 7]], F[9:10, [1, 2, 0]]])
+    faces = np.concatenate(
+        [F, [[3, 3, 5]], [[len(V), len(V) + 1, 7]], F[9:10, [1, 2, 0]]]
+    )
     return np.concatenate([V, V[7:8], V[7:8]]), faces
 
 
@@ -232,7 +239,9 @@ def test_components_and_their_cure():
     faces = np.concatenate([F[:40], faces + len(V)])
     assert len(extra.faces) > 40
     mesh = trimesh.Trimesh(both, faces, process=False)
-    with pytest.raises(ValueError, match="mesh: . components that do not touch") as error:
+    with pytest.raises(
+        ValueError, match="mesh: . components that do not touch"
+    ) as error:
         mr.PointCloud.from_mesh(mesh)
     names = {"mesh": mesh, "manireg": mr}
     exec(cure(error), names)
@@ -292,15 +301,17 @@ def sheet(curve, width, n_across):
     )
     k = np.arange(n * n_across).reshape(n, n_across)
     a, b, c, d = (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:])
-    faces = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    faces = np.concatenate(
+        [np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))]
+    )
     return trimesh.Trimesh(points, faces, process=False)
 
 
 def largest_bendings(cloud):
     values = np.linalg.eigvalsh(np.asarray(cloud.bendings))
-    return np.take_along_axis(
-        values, np.abs(values).argmax(axis=1)[:, None], axis=1
-    )[:, 0]
+    return np.take_along_axis(values, np.abs(values).argmax(axis=1)[:, None], axis=1)[
+        :, 0
+    ]
 
 
 def test_layers_nearer_than_points_do_not_mix():
@@ -332,7 +343,10 @@ def test_closed_lips(half):
     of_row = np.asarray(cloud.of_vertex)[:-11].reshape(-1, 11)[:, 2:-2]
     at = np.asarray(cloud.points)[of_row][:, :, 0]
     inner = np.abs(at[:, 0]) < 0.7
-    bend, up = largest_bendings(cloud)[of_row], np.asarray(cloud.normals)[of_row][..., 1]
+    bend, up = (
+        largest_bendings(cloud)[of_row],
+        np.asarray(cloud.normals)[of_row][..., 1],
+    )
     exact = np.sign(up) / (1 + at**2) ** 1.5
     np.testing.assert_allclose(bend[inner], exact[inner], rtol=0.05, atol=0.02)
 

@@ -29,7 +29,9 @@ def same(a, b):
     assert eqx.tree_equal(a, b)
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda a: pickle.loads(pickle.dumps(a))])
+@pytest.mark.parametrize(
+    "copied", [copy.deepcopy, lambda a: pickle.loads(pickle.dumps(a))]
+)
 def test_copies(copied):
     sources = [mr.Interval(0, 1), mr.Box([0, 0], [1, 2]), mr.Ambient(CLOUD)]
     clouds = [CLOUD, CIRCLE, CIRCLE.padded(60), CLOUD.patches(jnp.arange(3))]
@@ -54,7 +56,9 @@ def fitted():
     return {"problem": problem, "model": model, "cv": cv, "found": found}
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda a: pickle.loads(pickle.dumps(a))])
+@pytest.mark.parametrize(
+    "copied", [copy.deepcopy, lambda a: pickle.loads(pickle.dumps(a))]
+)
 @pytest.mark.parametrize("name", ["problem", "model", "cv", "found"])
 def test_copies_of_fits(fitted, copied, name):
     same(copied(fitted[name]), fitted[name])
@@ -68,7 +72,7 @@ def test_copies_of_fits(fitted, copied, name):
 def test_copies_of_a_warp():
     vertices = np.asarray(BALL.vertices)
     places = vertices[:40:2]
-    model = mr.baselines.volume_spline(vertices, CLOUD, places, places)
+    model = mr.baselines.volume_spline(vertices, places, places, CLOUD)
     again = pickle.loads(pickle.dumps(model))
     np.testing.assert_array_equal(again(vertices), model(vertices))
 

@@ -131,7 +131,9 @@ def mesh_neighbours(points, normals, triangles, k: int) -> np.ndarray:
     count = np.diff(reach.indptr)
     rows, cols = np.repeat(np.arange(P), count), reach.indices
     rank = _ranks(np.linalg.norm(points[cols] - points[rows], axis=1))
-    rank += (np.einsum("es,es->e", normals[rows], normals[cols]) <= 0) * (np.ptp(rank) + 1)
+    rank += (np.einsum("es,es->e", normals[rows], normals[cols]) <= 0) * (
+        np.ptp(rank) + 1
+    )
     order = np.argsort(rows * (np.ptp(rank) + 1) + rank - rank.min(), kind="stable")
     place = np.arange(len(rows)) - np.repeat(reach.indptr[:-1], count)
     near = np.repeat(np.arange(P)[:, None], k, axis=1)

@@ -61,8 +61,8 @@ class PointCloud(AbstractManifold):
     that of the chord: exact to third order, the fast default near convergence; lengths of
     shortest curves are what `manireg.geodesic` is for.
 
-    **Raises** ValueError for wrong shapes, NaN, zero normals; without triangles for repeated
-    points and normals that change sides along the surface.
+    **Raises** ValueError for wrong shapes, NaN, zero normals; without triangles also for
+    repeated points and normals that change sides along the surface.
 
     Source: Steinke and Hein 2008, section 4; the linear term is ours.
     """

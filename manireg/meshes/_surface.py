@@ -122,8 +122,8 @@ def as_mesh(mesh) -> trimesh.Trimesh:
 
 
 def _weld(mesh: trimesh.Trimesh) -> _Welded:
-    """Vertices at one place are one point only where triangles end: at seams of a texture,
-    say. Two sheets that touch inside stay two."""
+    """Vertices at one place are one point only where triangles end: at seams of a
+    texture, say. Two sheets that touch inside stay two."""
     vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
     lower, upper = vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))
     size = float(np.max(upper - lower))
