@@ -43,9 +43,9 @@ _FEW = 12  # centres any cloud may have
 
 def centres_of(source: Source, n: int, around=None, graded: bool = False) -> Domain:
     """About `n` quasi-uniform points of `source`, boundary included, as basis centres.
-    The weights are not meant for integration. Arguments as for `discretise`. A point
-    cloud without triangles gets at most a twelfth of its points, as its quadrature has no
-    others."""
+    The weights are not meant for integration. Arguments as for `discretise`. A mesh
+    gets at most as many as it has vertices, a point cloud without triangles a twelfth of
+    its points, as its quadrature has no others."""
     _check_graded(source, around, graded)
     chart = chart_of(source, around)
     if chart is not None:
@@ -64,8 +64,10 @@ def centres_of(source: Source, n: int, around=None, graded: bool = False) -> Dom
     if isinstance(source, Ambient):
         return _ambient(centres_of(source.manifold, n, around, graded))
     if isinstance(source, PointCloud):
+        most = len(source.points)
         if source.triangles is None:  # the quadrature has no points between
-            n = min(n, max(_FEW, len(source.points) // _ON_CLOUD))
+            most = max(_FEW, most // _ON_CLOUD)
+        n = min(n, most)
         return with_second_forms(source, *of_cloud(source, n, around, graded))
     return with_second_forms(source, *quasi_uniform(source, n, with_weights=False))
 
@@ -115,7 +117,7 @@ def discretise(source: Source, n: int, around=None, graded: bool = False) -> Dom
     if isinstance(source, Ambient):
         return _ambient(discretise(source.manifold, n, around, graded))
     if isinstance(source, PointCloud):
-        n = n * _ON_CLOUD
+        n = min(n, len(source.points)) * _ON_CLOUD
         return with_second_forms(source, *of_cloud(source, n, around, graded))
     n = n * per_axis**source.dim
     return with_second_forms(source, *quasi_uniform(source, n, with_weights=True))

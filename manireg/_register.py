@@ -84,7 +84,8 @@ def register(
     - `lam`: lambda, or None to choose it by `leave_one_out` over the landmarks.
     - `geometry`: `"ambient"` (default) penalises bending in all directions of space,
       `"intrinsic"` the Eells energy of the surface itself, which lets it bend freely.
-    - `centres`: about how many local polynomials; cost and detail grow with them. They
+    - `centres`: about how many local polynomials, at most one a vertex (on a `PointCloud`
+      without triangles one for twelve points); cost and detail grow with them. They
       and the smoothness follow the landmarks (`graded` in `make_problem`), so lambda and
       `.model.energies` are means with that weight.
     - `tension`: of the ambient energy, as in `make_problem`: holds on to the affine map of

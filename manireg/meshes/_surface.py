@@ -115,8 +115,8 @@ def as_mesh(mesh) -> trimesh.Trimesh:
     if np.any(beyond):
         triangle = np.flatnonzero(np.any(beyond, axis=1))[0]
         raise ValueError(
-            f"mesh: triangle {triangle} has vertices {list(map(int, mesh.faces[triangle]))}"
-            f", but there are {len(mesh.vertices)}, numbered from 0."
+            f"mesh: triangle {triangle} has vertices {mesh.faces[triangle].tolist()}, but "
+            f"there are {len(mesh.vertices)}, numbered from 0."
         )
     return mesh
 
