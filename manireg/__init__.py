@@ -6,6 +6,7 @@ from . import (
     baselines as baselines,
     datasets as datasets,
     manifolds as manifolds,
+    meshes as meshes,
     plot as plot,
 )
 from ._domain import Domain as Domain

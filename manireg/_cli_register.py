@@ -14,6 +14,7 @@ from ._cli_columns import has, numbers
 from ._cli_errors import check_written, clean_errors
 from ._cli_report import print_rows
 from .datasets._text_tables import read_text_table
+from .meshes import write_mesh
 
 
 def register(
@@ -23,7 +24,7 @@ def register(
         Path,
         typer.Option(
             help="CSV with a row for each pair. Columns `source,target` hold vertex "
-            "numbers (from 0), or `sx,sy,sz,tx,ty,tz` positions."
+            "numbers of the files (from 0), or `sx,sy,sz,tx,ty,tz` positions."
         ),
     ],
     out: Annotated[
@@ -79,12 +80,10 @@ def register(
             tension=tension,
         )
         seconds = time.perf_counter() - start
-        found.mesh().export(out)
-        written = [out]
+        written = [write_mesh(found.mesh(), out)]
         if morph is not None:
             path = out.with_stem(f"{out.stem}_morph")
-            found.mesh(morph).export(path)
-            written.append(path)
+            written.append(write_mesh(found.mesh(morph), path))
         if picture is not None:
             plot.save(
                 plot.registration(found, 0.5 if morph is None else morph), picture
@@ -105,6 +104,14 @@ def register(
 def _read_landmarks(file: Path):
     table, option = read_text_table(file), "--landmarks"
     if has(table, "source", "target"):
-        return numbers(table, ["source", "target"], option).astype(int).T
+        pairs = numbers(table, ["source", "target"], option)
+        whole = pairs.astype(int)
+        bad = np.flatnonzero(np.any(whole != pairs, axis=1))
+        if len(bad):
+            raise ValueError(
+                f"--landmarks: vertex numbers are whole, but row {bad[0] + 1} of {file} "
+                f"has {' and '.join(map(repr, pairs[bad[0]].tolist()))}."
+            )
+        return whole.T
     both = numbers(table, ["sx", "sy", "sz", "tx", "ty", "tz"], option)
     return both[:, :3], both[:, 3:]

@@ -38,11 +38,14 @@ class Domain(eqx.Module):
 
 _NODES_PER_SPACING = {1: 10, 2: 4}  # Gauss nodes a centre and axis; 3 from dimension 3
 _ON_CLOUD = 12  # points of a cloud per centre
+_FEW = 12  # centres any cloud may have
 
 
 def centres_of(source: Source, n: int, around=None, graded: bool = False) -> Domain:
     """About `n` quasi-uniform points of `source`, boundary included, as basis centres.
-    The weights are not meant for integration. Arguments as for `discretise`."""
+    The weights are not meant for integration. Arguments as for `discretise`. A mesh
+    gets at most as many as it has vertices, a point cloud without triangles a twelfth of
+    its points, as its quadrature has no others."""
     _check_graded(source, around, graded)
     chart = chart_of(source, around)
     if chart is not None:
@@ -61,6 +64,10 @@ def centres_of(source: Source, n: int, around=None, graded: bool = False) -> Dom
     if isinstance(source, Ambient):
         return _ambient(centres_of(source.manifold, n, around, graded))
     if isinstance(source, PointCloud):
+        most = len(source.points)
+        if source.triangles is None:  # the quadrature has no points between
+            most = max(_FEW, most // _ON_CLOUD)
+        n = min(n, most)
         return with_second_forms(source, *of_cloud(source, n, around, graded))
     return with_second_forms(source, *quasi_uniform(source, n, with_weights=False))
 
@@ -79,7 +86,8 @@ def discretise(source: Source, n: int, around=None, graded: bool = False) -> Dom
     - `graded`: points denser near `around`, weights in proportion to spacing^{4-m}, with
       the same sum; point clouds only.
 
-    Point clouds give points of theirs and share out the areas; `Ambient` takes over what
+    Point clouds give points of theirs and share out the areas (a mesh with too few
+    vertices points in its triangles); `Ambient` takes over what
     its manifold gives. Sources with a global chart use composite Gauss-Legendre rules
     (trapezoid rule along periodic coordinates), S^2 the Fibonacci lattice, products the
     product rule. Every other manifold takes farthest points of a cloud of
@@ -109,7 +117,7 @@ def discretise(source: Source, n: int, around=None, graded: bool = False) -> Dom
     if isinstance(source, Ambient):
         return _ambient(discretise(source.manifold, n, around, graded))
     if isinstance(source, PointCloud):
-        n = n * _ON_CLOUD
+        n = min(n, len(source.points)) * _ON_CLOUD
         return with_second_forms(source, *of_cloud(source, n, around, graded))
     n = n * per_axis**source.dim
     return with_second_forms(source, *quasi_uniform(source, n, with_weights=True))

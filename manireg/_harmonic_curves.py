@@ -50,8 +50,11 @@ def minimise_harmonic(
         tries = jnp.broadcast_to(curve[None], (len(STEP_SIZES), *curve.shape))
         tries = tries.at[:, 1:-1].set(inner.reshape(tries[:, 1:-1].shape))
         energies = jax.vmap(_energy)(tries)
-        best = jnp.nanargmin(energies.at[0].multiply(1 - 1e-14))  # full if all tie
-        lower = energies[best] <= energy * (1 + 1e-14)
+        # far from the origin energies are known to the rounding of the points
+        blur = 4 * jnp.finfo(float).eps * jnp.max(jnp.abs(curve))
+        unknown = 1e-14 * energy + blur * jnp.sqrt(2 * energy * (len(curve) - 1))
+        best = jnp.nanargmin(energies.at[0].add(-unknown))  # full if all tie
+        lower = energies[best] <= energy + unknown
         rounding = 1e-30 * jnp.sum(curve**2)
         done = (decrease <= rtol * energy + rounding) | (
             ~lower & (decrease <= noise * energy)

@@ -81,7 +81,7 @@ def minimise(
         # the patches are wrong by more than this, and exact Hessians dear
         coarse = (jnp.maximum(newton.rtol, PATCH_RTOL), 0.0)
         newton = eqx.tree_at(lambda n: (n.rtol, n.near), newton, coarse)
-        w, total, result, stats = _rounds(newton, stage, w0)
+        w, total, result, stats = _rounds(newton, stage, w0, max_steps)
     else:
         w, total, result, stats = _newton_solve(newton, stage, w0, max_steps)
     return w, stage.gamma, total, result, stats
@@ -104,12 +104,14 @@ def _newton_solve(newton: Newton, stage: Stage, w, max_steps: int):
     return solution.value, total, solution.result, solution.stats
 
 
-def _rounds(newton: Newton, stage: Stage, w0):
-    """Newton solves with the patches renewed in between, until hardly any change."""
+def _rounds(newton: Newton, stage: Stage, w0, max_steps: int):
+    """Newton solves with the patches renewed in between, until hardly any change, of
+    `max_steps` trial steps in all."""
+    steps = min(ROUND_STEPS, max_steps)
 
     def solve_round(rounds, w, local):
         here = eqx.tree_at(lambda s: s.local, stage, local)
-        w, total, result, stats = _newton_solve(newton, here, w, ROUND_STEPS)
+        w, total, result, stats = _newton_solve(newton, here, w, steps)
         renewed = local_target(stage.problem, w, local, rounds)
         assert renewed is not None
         share = moved(local, renewed)
@@ -119,8 +121,9 @@ def _rounds(newton: Newton, stage: Stage, w0):
         return w, renewed, total, result, stats
 
     def unfinished(carry):
-        rounds, _, _, _, result, _ = carry
-        return (rounds < ROUNDS) & (result != optx.RESULTS.successful)
+        rounds, _, _, _, result, stats = carry
+        allowed = (rounds < ROUNDS) & (stats["num_trials"] + steps <= max_steps)
+        return allowed & (result != optx.RESULTS.successful)
 
     def next_round(carry):
         rounds, w, local, _, _, before = carry

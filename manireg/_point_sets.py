@@ -11,10 +11,16 @@ from scipy.spatial import KDTree
 from scipy.stats import qmc
 
 from ._charts import Chart
-from ._farthest_points import data_spacings, farthest_indices, farthest_points
+from ._farthest_points import (
+    data_spacings,
+    equally_near,
+    farthest_indices,
+    farthest_points,
+)
 from ._frames import tangent_frames
 from ._sources import Source
 from .manifolds import AbstractManifold, PointCloud, Sphere
+from .manifolds._cloud_fits import triangle_areas
 
 Sample = tuple[
     Float[ArrayLike, "Q s"], Float[ArrayLike, "Q s m"], Float[ArrayLike, " Q"]
@@ -85,23 +91,54 @@ def quasi_uniform(source: Source, n: int, with_weights: bool) -> Sample:
 
 def of_cloud(source: PointCloud, n: int, around, graded: bool) -> Sample:
     """`n` points of the cloud, farthest points from those next to `around` (if they are
-    no more than `n`); the area of every point of the cloud goes to the nearest of them."""
-    cloud = np.asarray(source.points)
+    no more than `n`); the area of every point of the cloud goes to the nearest of them.
+    Where a mesh has fewer vertices, the same of points in its triangles."""
+    points, areas = np.asarray(source.points), np.asarray(source.areas)
+    if n > len(points) and source.triangles is not None:
+        points, areas = _in_triangles(source, n)
     first, spacing = [], 1.0
     if around is not None:
-        first = np.unique(source.nearest(jnp.asarray(around)))
+        near, equal = equally_near(points, np.asarray(around))
+        first = np.unique(np.min(np.where(equal, near, len(points)), axis=1))
     if len(first) > n:
         first = []
     if graded:
-        spacing = data_spacings(cloud, np.asarray(around))
-    index = farthest_indices(cloud, min(n, len(cloud)), first, spacing)
-    nearest = KDTree(cloud[index]).query(cloud)[1]
-    areas = np.asarray(source.areas)
+        spacing = data_spacings(points, np.asarray(around))
+    index = farthest_indices(points, min(n, len(points)), first, spacing)
+    index = index[np.sort(np.unique(index, return_index=True)[1])]
     local_lam = spacing ** (4 - source.dim)
     areas = areas * local_lam * np.sum(areas) / np.sum(areas * local_lam)
-    weights = np.bincount(nearest, areas, minlength=len(index))
-    points = source.points[index]
-    return points, tangent_frames(source, points), weights
+    weights = _shared_out(points, areas, points[index])
+    chosen = jnp.asarray(points[index])
+    if len(points) != len(source.points):
+        chosen = source.project(chosen)
+    return chosen, tangent_frames(source, chosen), weights
+
+
+def _in_triangles(source: PointCloud, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """At least `n` points in the triangles, each cut into equal ones, and the areas of
+    these. Their sum is that of the cloud. The points are a little beside the centroids,
+    which several vertices may be nearest to: rounding would choose the patch."""
+    corners = np.asarray(source.points)[np.asarray(source.triangles)]
+    cuts = int(np.ceil(np.sqrt(n / len(corners))))
+    i, j = np.indices((cuts, cuts)).reshape(2, -1)
+    upright, upturned = i + j < cuts, i + j < cuts - 1
+    u, v = (
+        np.concatenate([a[upright] + 1 / 3, a[upturned] + 2 / 3]) + beside
+        for a, beside in ((i, 0.02), (j, -0.005))
+    )
+    u, v = u / cuts, v / cuts
+    share = np.stack([1 - u - v, u, v], axis=1)
+    points = np.einsum("qc,tcs->tqs", share, corners).reshape(-1, 3)
+    areas = np.repeat(triangle_areas(corners), len(share))
+    return points, areas * np.sum(np.asarray(source.areas)) / np.sum(areas)
+
+
+def _shared_out(points, areas, owners) -> np.ndarray:
+    """The area of each point goes to the nearest owner; owners equally near share it."""
+    near, equal = equally_near(owners, points)
+    share = equal / np.sum(equal, axis=1, keepdims=True) * areas[:, None]
+    return np.bincount(near.ravel(), share.ravel(), minlength=len(owners))
 
 
 def _fibonacci(n: int) -> np.ndarray:

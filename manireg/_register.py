@@ -1,23 +1,28 @@
 """Dense correspondence between two scanned surfaces from a few landmarks."""
 
 import itertools
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 import trimesh
 from jaxtyping import ArrayLike, Float, Int, ScalarLike
 
-from ._checks import check_landmarks
+from ._checks import check_landmarks, check_x64
 from ._leave_one_out import RTOL, cut_errors, leave_one_out
+from ._orientation import check_orientation
 from ._problem import make_problem
 from ._selection import CrossValidation
 from ._solve import RegressionMap, evaluate, solve
 from ._sources import Ambient
 from .manifolds import PointCloud
-from .manifolds._meshes import as_mesh
+from .meshes._files import numbers_vertices
+from .meshes._surface import as_mesh
 
 PAD = 8192  # targets are padded to multiples: similar ones share compiled programs
 
@@ -28,7 +33,8 @@ class Registration(eqx.Module):
     """Where every vertex of the source belongs on the target."""
 
     vertices: Float[np.ndarray, "n 3"]
-    """On the target, in the order of the source's vertices."""
+    """On the target, numbered as the vertices of the source are in its mesh or file; a
+    vertex that no triangle uses goes with the nearest one that is used."""
     model: RegressionMap
     """The map itself, for any point of the source."""
     cv: CrossValidation | None
@@ -40,7 +46,8 @@ class Registration(eqx.Module):
 
     def mesh(self, t: float = 1.0) -> trimesh.Trimesh:
         """The source's triangles at (1 - t) source + t target: t = 1 is the registered
-        mesh, 0.5 the morph half way, t > 1 a caricature."""
+        mesh, 0.5 the morph half way, t > 1 a caricature. To write it far from the origin
+        without loss take `manireg.meshes.write_mesh`."""
         if self.faces is None:
             raise ValueError("mesh: the source is a point cloud without triangles.")
         between = (1 - t) * self.source_vertices + t * self.vertices
@@ -71,11 +78,14 @@ def register(
     - `source`, `target`: meshes (`trimesh.Trimesh`, or files trimesh loads) or
       `PointCloud`s.
     - `source_landmarks`, `target_landmarks`: l vertex numbers, or positions `(l, 3)` up
-      to a hundredth of the size away from the surface; at least 5 pairs.
+      to a hundredth of the size away from the surface; at least 5 pairs. Numbers are those
+      of the mesh or of the file as it is (from 0; seams of a texture, unused and doubled
+      vertices count), also for `PointCloud.from_mesh`. STL files have none.
     - `lam`: lambda, or None to choose it by `leave_one_out` over the landmarks.
     - `geometry`: `"ambient"` (default) penalises bending in all directions of space,
       `"intrinsic"` the Eells energy of the surface itself, which lets it bend freely.
-    - `centres`: about how many local polynomials; cost and detail grow with them. They
+    - `centres`: about how many local polynomials, at most one a vertex (on a `PointCloud`
+      without triangles one for twelve points); cost and detail grow with them. They
       and the smoothness follow the landmarks (`graded` in `make_problem`), so lambda and
       `.model.energies` are means with that weight.
     - `tension`: of the ambient energy, as in `make_problem`: holds on to the affine map of
@@ -86,21 +96,32 @@ def register(
     "intrinsic")`, `centres=(200, 400)`, `tension=(0, 1)`, are tried in all combinations,
     and the one that predicts left-out landmarks best is kept.
 
-    No alignment is needed before: the affine map of the landmarks costs nothing.
+    No alignment is needed before: the affine map of the landmarks costs nothing. But
+    surfaces have to have the same orientation: of a mirror image the triangles would come
+    out inside out.
+
+    **Warns** (UserWarning) if the fit kept had not settled: `.model.result` is then not
+    `successful`, as after `solve(..., throw=False)`.
     **Raises** ValueError for landmarks that are too few, off the surface, NaN or on one
-    line, and for what `PointCloud` rejects.
+    line, for meshes of opposite orientation, and for what `PointCloud` rejects;
+    RuntimeError for a fit that ends in NaN.
     """
-    cloud, start, faces = _surface(source)
-    onto, end, _ = _surface(target)
-    x = _positions("source_landmarks", source_landmarks, start, cloud)
-    y = _positions("target_landmarks", target_landmarks, end, onto)
+    check_x64()
+    ours, theirs = _surface("source", source), _surface("target", target)
+    cloud, onto = ours.cloud, theirs.cloud
+    x = _positions("source_landmarks", source_landmarks, ours)
+    y = _positions("target_landmarks", target_landmarks, theirs)
     if len(x) != len(y) or len(x) < 5:
         raise ValueError(
             f"landmarks: at least 5 pairs are needed, found {len(x)} on the source and "
             f"{len(y)} on the target."
         )
-    if np.linalg.matrix_rank(x - x.mean(0), tol=1e-3 * np.ptp(x)) < 2:
-        raise ValueError("source_landmarks: all on one line; spread them out.")
+    for name, places in (("source_landmarks", x), ("target_landmarks", y)):
+        spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+        if spread[1] <= 1e-3 * spread[0]:
+            raise ValueError(f"{name}: all on one line; spread them out.")
+    if ours.faces is not None:
+        check_orientation(x, y, _normals(cloud, x), _normals(onto, y))
     padded = onto.padded(-(-len(onto.points) // PAD) * PAD)
     choices = _choices(geometry, centres, tension)
     found: list[tuple[RegressionMap, CrossValidation | None]] = []
@@ -116,11 +137,10 @@ def register(
             tension=tau,
         )
         nothing = jnp.zeros((problem.pattern.size, 3))
-        if not evaluate(problem.basis, nothing, jnp.asarray(start), problem.origin)[1]:
+        if not evaluate(problem.basis, nothing, cloud.points, problem.origin)[1]:
             raise ValueError(
-                "source: some vertices lie outside the support of every centre. Drop "
-                "vertices that no triangle uses (mesh.remove_unreferenced_vertices()), or "
-                "take more `centres`."
+                "source: some vertices lie outside the support of every centre; take more "
+                "`centres`."
             )
         if lam is None or len(choices) > 1:
             lams = None if lam is None else jnp.atleast_1d(lam)
@@ -130,11 +150,27 @@ def register(
             model = solve(problem, lam, starts=(1.0,), rtol=RTOL, throw=False)
             found.append((model, None))
     model, cv = min(found, key=lambda fit: _predicted_error(fit[1]))
-    image = onto.project(
-        evaluate(model.basis, model.coefficients, jnp.asarray(start), model.origin)[0]
-    )
+    _check_result(model)
+    psi = evaluate(model.basis, model.coefficients, cloud.points, model.origin)[0]
+    image = np.asarray(onto.project(psi))[ours.of_vertex]
     errors = np.linalg.norm(np.asarray(model(x)) - y, axis=1)
-    return Registration(np.asarray(image), model, cv, errors, start, faces)
+    return Registration(image, model, cv, errors, ours.vertices, ours.faces)
+
+
+def _check_result(model: RegressionMap) -> None:
+    if not np.all(np.isfinite(model.coefficients)):
+        raise RuntimeError(
+            f"register: the fit at lambda {float(model.lam):.3g} ends in NaN; take a "
+            "larger `lam`, fewer `centres` or more `tension`."
+        )
+    if model.result != optx.RESULTS.successful:
+        warnings.warn(
+            f"register: the fit at lambda {float(model.lam):.3g} had not settled after "
+            f"{int(model.stats['num_trials'])} steps, so vertices may be off, most where "
+            "the target is thin or folded. Take a larger `lam`, fewer `centres` or more "
+            "`tension`; `.model.result` tells.",
+            stacklevel=3,
+        )
 
 
 def _choices(geometry, centres, tension) -> list[tuple[str, int, float]]:
@@ -163,19 +199,52 @@ def _predicted_error(cv: CrossValidation | None) -> float:
     return float(cut_errors(np.asarray(cv.scores[:, cv.chosen])).mean())
 
 
-def _surface(surface: Surface):
-    """As a point cloud, with the vertices and triangles it was given by."""
+class _Surface(NamedTuple):
+    """A point cloud, and the mesh it was given by."""
+
+    cloud: PointCloud
+    """Without `of_vertex`: programs are shared whatever the mesh repeats or leaves out."""
+    vertices: Float[np.ndarray, "n 3"]
+    of_vertex: Int[np.ndarray, " n"]
+    """The point of each vertex."""
+    faces: Int[np.ndarray, "f 3"] | None
+    numbered: bool
+
+
+def _surface(name: str, surface: Surface) -> _Surface:
     if isinstance(surface, PointCloud):
-        return surface, np.asarray(surface.points), None
-    mesh = as_mesh(surface)
+        points, numbers = np.asarray(surface.points), surface.of_vertex
+        numbers = np.arange(len(points)) if numbers is None else np.asarray(numbers)
+        return _Surface(_bare(surface), points[numbers], numbers, None, True)
+    numbered = isinstance(surface, trimesh.Trimesh) or numbers_vertices(surface)
+    try:
+        mesh = as_mesh(surface)
+        cloud = PointCloud.from_mesh(mesh)
+    except ValueError as error:
+        raise ValueError(str(error).replace("mesh:", f"{name}:", 1)) from error
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
-    return PointCloud.from_mesh(mesh), vertices, faces
+    of_vertex = np.asarray(cloud.of_vertex)
+    return _Surface(_bare(cloud), vertices, of_vertex, faces, numbered)
 
 
-def _positions(name: str, landmarks, vertices, cloud: PointCloud) -> np.ndarray:
+def _bare(cloud: PointCloud) -> PointCloud:
+    is_none = lambda leaf: leaf is None
+    return eqx.tree_at(lambda c: c.of_vertex, cloud, None, is_leaf=is_none)
+
+
+def _normals(cloud: PointCloud, points) -> Float[np.ndarray, "l 3"]:
+    return np.asarray(cloud.normals[cloud.nearest(jnp.asarray(points))])
+
+
+def _positions(name: str, landmarks, surface: _Surface) -> Float[np.ndarray, "l 3"]:
     """Landmarks as points of the surface."""
-    landmarks = np.asarray(landmarks)
+    landmarks, vertices = np.asarray(landmarks), surface.vertices
     if landmarks.ndim == 1 and landmarks.dtype.kind in "iu":
+        if not surface.numbered:
+            raise ValueError(
+                f"{name}: vertex numbers, but STL files do not number vertices. Give "
+                "positions (l, 3), or a mesh as PLY or OBJ."
+            )
         wrong = landmarks[(landmarks < 0) | (landmarks >= len(vertices))]
         if len(wrong):
             raise ValueError(
@@ -189,6 +258,10 @@ def _positions(name: str, landmarks, vertices, cloud: PointCloud) -> np.ndarray:
             f"{name}: expected vertex numbers (l,) or positions (l, 3), found shape "
             f"{landmarks.shape} of {landmarks.dtype}."
         )
-    if not np.all(np.isfinite(positions)):
-        raise ValueError(f"{name}: NaN or infinity; remove these pairs.")
-    return check_landmarks(name, cloud, positions)
+    bad = np.flatnonzero(~np.all(np.isfinite(positions), axis=1))
+    if len(bad):
+        raise ValueError(
+            f"{name}: NaN or infinity in {len(bad)} of {len(positions)} (first at index "
+            f"{bad[0]}); remove these pairs."
+        )
+    return check_landmarks(name, surface.cloud, positions)

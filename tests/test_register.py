@@ -110,16 +110,6 @@ def test_bad_landmarks(ours, theirs, message):
         mr.register(BALL, BALL, ours, theirs, 1e-3)
 
 
-@pytest.mark.slow
-def test_vertex_without_triangles():
-    far = np.append(BALL.vertices, [[9.0, 0.0, 0.0]], axis=0)
-    stray = trimesh.Trimesh(far, BALL.faces, process=False)
-    with pytest.raises(
-        ValueError, match="source: some vertices lie outside the support"
-    ):
-        mr.register(stray, BALL, LANDMARKS, LANDMARKS, 1e-3, centres=60)
-
-
 def test_bad_geometry():
     with pytest.raises(ValueError, match="geometry: expected 'ambient' or 'intr"):
         mr.register(BALL, BALL, LANDMARKS, LANDMARKS, geometry="outer")
