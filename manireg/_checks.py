@@ -76,11 +76,7 @@ def check_data(source: Source, target: AbstractManifold, x, y, weights):
         raise ValueError(
             f"target: expected a manireg manifold, found {type(target).__name__}."
         )
-    if not isinstance(source, Source):
-        raise ValueError(
-            "source: expected an Interval, a Box, an Ambient or a manifold, found "
-            f"{type(source).__name__}."
-        )
+    check_source(source)
     x = check_points("x", source, x)
     y = check_points("y", target, y, count=len(x))
     weights = _checked_weights(weights, len(x))
@@ -96,7 +92,16 @@ def check_data(source: Source, target: AbstractManifold, x, y, weights):
     return jnp.asarray(x), y.reshape(len(x), -1), jnp.asarray(weights)
 
 
+def check_source(source: Source):
+    if not isinstance(source, Source):
+        raise ValueError(
+            "source: expected an Interval, a Box, an Ambient or a manifold, found "
+            f"{type(source).__name__}."
+        )
+
+
 def check_dimension(source: Source):
+    check_source(source)
     m = sampled_dim(source)
     if m > LARGEST_DIM:
         raise ValueError(
@@ -209,4 +214,5 @@ def _numbers_of(name: str, space, points) -> tuple[np.ndarray, str]:
 def _wrong_shape(name: str, space, found: tuple[int, ...]) -> str:
     letters = ", ".join(map(str, ("k", *space.point_shape)))
     comma = "," if not space.point_shape else ""
-    return f"{name}: expected shape ({letters}{comma}) for {described(space)}, found {found}."
+    expected = f"({letters}{comma}) for {described(space)}"
+    return f"{name}: expected shape {expected}, found {found}."

@@ -80,10 +80,10 @@ def evaluated(
 
 def _lowest(scores: Float[Array, " n"]) -> int:
     """Of those that are numbers."""
-    scores = np.asarray(scores)
-    if not np.any(np.isfinite(scores)):
+    means = np.asarray(scores)
+    if not np.any(np.isfinite(means)):
         raise ValueError(
             "cross-validation: no value of the grid has a finite score. Give a grid of "
             "your own, or a value."
         )
-    return int(np.argmin(np.where(np.isnan(scores), np.inf, scores)))
+    return int(np.argmin(np.where(np.isnan(means), np.inf, means)))

@@ -18,6 +18,11 @@ from jaxtyping import Array, Float, Int
 from ._domain import Domain
 from ._frames import complete_frames
 
+COVERED = (
+    1e-6  # least `cover` of a point: at the rim of a support the quadrature misses
+)
+# how one polynomial passes into the next
+
 
 class LocalPolynomials(eqx.Module):
     """K centres with frames and widths. `dim` is the dimension m of the source."""

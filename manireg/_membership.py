@@ -126,6 +126,7 @@ def _check_near(name, label, space, points, gap):
             )
     known = distance[np.isfinite(distance)]
     worst = f", up to {known.max():.2g} away" if len(known) else ""
+    worst += ", some without a closest point" if len(known) < len(distance) else ""
     raise ValueError(
         f"{name}: {count} points lie off {label} (first at index {first}{worst}); "
         f"normalise them, e.g. with {name} = M.project({name})."

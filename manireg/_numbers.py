@@ -39,7 +39,7 @@ def numbers_and_unit(name: str, values: Numbers) -> tuple[np.ndarray, str]:
     """`values` as a float64 array, dates in seconds since 1970-01-01 UTC (those without a
     time zone count as UTC), durations in seconds; and that unit, empty for plain numbers.
     A float64 tells today's dates apart to 2e-7 s."""
-    _refuse_masked(name, values)
+    refuse_masked(name, values)
     if hasattr(values, "as_matrix"):  # rotations
         values = values.as_matrix()
     try:
@@ -66,7 +66,8 @@ def numbers_and_unit(name: str, values: Numbers) -> tuple[np.ndarray, str]:
     )
 
 
-def _refuse_masked(name: str, values) -> None:
+def refuse_masked(name: str, values: Numbers) -> None:
+    """NumPy forgets the mask when it makes an array of a masked one."""
     if not _has_masked(values):
         return
     if getattr(values, "ndim", 1) == 0:
@@ -100,14 +101,13 @@ def _seconds(name: str, array: np.ndarray) -> np.ndarray:
 
 def _from_objects(name: str, array: np.ndarray) -> tuple[np.ndarray, str]:
     """Number by number. Entries may be arrays: all of one shape, or missing."""
-    rows = np.indices(array.shape)[0].ravel() if array.ndim else [None]
+    rows = np.indices(array.shape)[0].ravel().tolist() if array.ndim else [None]
     entries, units, shape, first = [], set(), (), None
     for row, value in zip(rows, array.ravel()):
-        where = name if row is None else f"{name}[{row}]"
         if _is_missing(value):
             entries.append(None)
             continue
-        entry, unit = _entry(where, value)
+        entry, unit = _entry(name, row, value)
         if first is not None and entry.shape != shape:
             raise ValueError(
                 f"{name}: entries of several shapes, {shape} at index {first} and "
@@ -125,7 +125,8 @@ def _from_objects(name: str, array: np.ndarray) -> tuple[np.ndarray, str]:
     return np.reshape(filled, (*array.shape, *shape)), "".join(units)
 
 
-def _entry(where: str, value) -> tuple[np.ndarray, str]:
+def _entry(name: str, row: int | None, value) -> tuple[np.ndarray, str]:
+    where = name if row is None else f"{name}[{row}]"
     if isinstance(value, _TEMPORAL):
         return _time(where, value)
     if not isinstance(value, _NO_NUMBER):
@@ -140,7 +141,8 @@ def _entry(where: str, value) -> tuple[np.ndarray, str]:
         except (TypeError, ValueError, ArithmeticError):
             pass
     text = repr(value) if isinstance(value, _NO_NUMBER) else f"a {type(value).__name__}"
-    raise ValueError(f"{where}: expected real numbers, found {text}.")
+    index = "" if row is None else f" at index {row}"
+    raise ValueError(f"{name}: expected real numbers, found {text}{index}.")
 
 
 def _time(where: str, value) -> tuple[np.ndarray, str]:

@@ -108,9 +108,9 @@ def make_problem(
     """
     check_x64(source)
     check_x64(target)
+    check_dimension(source)
     check_tension(tension, source)
     x, y, weights = check_data(source, target, x, y, weights)
-    check_dimension(source)
     m = sampled_dim(source)
     if degree is None:
         degree = 1 if isinstance(source, Ambient) else 2

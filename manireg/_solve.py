@@ -15,7 +15,7 @@ from ._checks import check_inputs, check_lam, is_concrete, projected
 from ._hessian import exact, gauss_newton
 from ._jets import centres_near
 from ._linear_solvers import DirectSolvers, direct_solvers
-from ._local_polynomials import LocalPolynomials, basis_values, cover
+from ._local_polynomials import COVERED, LocalPolynomials, basis_values, cover
 from ._minimise import Method, minimise, newton_minimiser, stage_of
 from ._numbers import Numbers
 from ._objective import Energies, Stage, objective
@@ -83,7 +83,7 @@ def _evaluate(basis, w, x, near):
     def one(x, near=everywhere):
         values = basis_values(basis, x, near).reshape(len(near), -1)
         psi = jnp.einsum("lc,lct->t", values, w[near])
-        return psi, cover(basis, x, near) > 0  # as where the problem was built
+        return psi, cover(basis, x, near) > COVERED
 
     points = (x,) if near is None else (x, near)
     values, covered = jax.lax.map(lambda point: one(*point), points, batch_size=256)

@@ -8,10 +8,12 @@ import jax
 import jax.numpy as jnp
 import jaxkd
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int, PRNGKeyArray, ScalarLike
+from jaxtyping import Array, Float, Int, PRNGKeyArray, ScalarLike
 from scipy.spatial import KDTree
 
+from .._numbers import Numbers
 from .._numerics import norm_squared
+from .._precision import check_x64
 from ._base import AbstractManifold
 from ._cloud_fits import (
     check_areas,
@@ -70,13 +72,14 @@ class PointCloud(AbstractManifold):
 
     def __init__(
         self,
-        points: ArrayLike,
-        normals: ArrayLike,
+        points: Numbers,
+        normals: Numbers,
         *,
         neighbours: int | None = None,
-        areas: ArrayLike | None = None,
+        areas: Numbers | None = None,
         search: Callable[[Array, Array], Array] | None = None,
     ):
+        check_x64()
         points, normals = checked_points(points, normals)
         s = points.shape[1]
         neighbours = {2: 6, 3: 12}[s] if neighbours is None else neighbours
