@@ -171,8 +171,8 @@ def _elements(
     uncovered = np.sum(covers <= COVERED)
     if uncovered:
         raise ValueError(
-            f"centres: {uncovered} of {len(points)} points lie outside the "
-            "support of every centre, or at the rims (no cover); use more centres or larger widths."
+            f"centres: {uncovered} of {len(points)} points lie outside (or at the rim of) "
+            "the support of every centre (no cover); use more centres or larger widths."
         )
     K = len(basis.centres)
     reaching, centre = np.divmod(np.unique(element[supported] * K + centre), K)

@@ -21,7 +21,7 @@ from .manifolds import (
 )
 
 ON_MANIFOLD = 1e-6  # allowed distance of data to a manifold, in its smallest radii
-ROUNDING = 1e3 * np.finfo(float).eps  # of coordinates, passed without another look
+ROUNDING = 64 * np.finfo(float).eps  # of coordinates, passed without another look
 
 
 def is_concrete(*values) -> bool:
@@ -42,9 +42,10 @@ def check_on(name: str, space: Source | AbstractManifold, points, unit: str = ""
     if not is_concrete(*jax.tree.leaves(space)):
         return
     with jax.ensure_compile_time_eval():  # under `jit`, too: these points are known
-        gap = np.asarray(projected(space, jnp.asarray(points))) - points
-    for label, factor, here, off in factors(space, points, gap):
-        _check_near(name, label, factor, here, off)
+        here = jnp.asarray(points)
+        parts = factors(space, here, projected(space, here) - here)
+    for label, factor, here, gap in parts:
+        _check_near(name, label, factor, np.asarray(here), np.asarray(gap))
 
 
 def outside(space: Box | Interval, flat):

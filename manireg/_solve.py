@@ -92,7 +92,7 @@ def _evaluate(basis, w, x, near):
 
 def solve(
     problem: Problem,
-    lam: ScalarLike,
+    lam: Numbers,
     *,
     method: Method | None = None,
     starts: Sequence[float] = STARTS,

@@ -139,6 +139,7 @@ jax.config.update("jax_enable_x64", True)
 x, box = np.linspace(0, 1, 9), mr.Box([0], [1])
 for mistake in (
     lambda: mr.make_problem(box, box, x[:, None], x[:, None]),
+    lambda: mr.make_problem((0, 1), mr.Euclidean(1), x, x[:, None]),
     lambda: mr.solve(None, 1.0, method="newton"),
 ):
     try:
@@ -151,6 +152,7 @@ for mistake in (
     )
     assert run.stdout.splitlines() == [
         "target: expected a manireg manifold, found Box.",
+        "source: expected an Interval, a Box, an Ambient or a manifold, found tuple.",
         "method: expected 'projected' or 'penalty', found 'newton'.",
     ]
 

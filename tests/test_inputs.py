@@ -167,7 +167,7 @@ def test_pandas():
         (lambda: geodesic_regression(INTERVAL, SPHERE, masked(X, 4), Y), "x: 1 of 9 "),
         (lambda: mr.PointCloud(masked(Y, 4), Y), "points: 1 of 9 "),
         (lambda: mr.PointCloud(Y, masked(Y, 4)), "normals: 1 of 9 "),
-        (lambda: mr.Interval(np.ma.masked, 1.0), "Interval: is masked"),
+        (lambda: mr.Interval(np.ma.masked, 1.0), "Interval: is "),
         (lambda: mr.Box(masked([0.0, 1.0], 1), [2, 2]), "Box: 1 of 2 "),
     ],
 )
@@ -310,7 +310,7 @@ def test_known_points_are_checked_inside_of_jit(on_sphere):
 
 def test_cover_is_one_rule():
     """What a problem is built on is what its map can be asked for."""
-    with pytest.raises(ValueError, match="centres: .* points lie outside the support"):
+    with pytest.raises(ValueError, match="centres: .* the support of every"):
         mr.make_problem(INTERVAL, LINE, X, X[:, None], centres=10, width=0.56)
     narrow = mr.fit(INTERVAL, LINE, X, X[:, None], 1e-3, centres=10, width=0.7)
     new = np.linspace(0, 1, 101)
