@@ -18,10 +18,9 @@ from jaxtyping import Array, Float, Int
 from ._domain import Domain
 from ._frames import complete_frames
 
-COVERED = (
-    1e-6  # least `cover` of a point: at the rim of a support the quadrature misses
-)
-# how one polynomial passes into the next
+# Least `cover` of a point. Where only the rims of supports meet, the quadrature misses how
+# one polynomial passes into the next.
+COVERED = 1e-4
 
 
 class LocalPolynomials(eqx.Module):
