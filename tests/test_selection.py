@@ -166,6 +166,7 @@ def test_few_data(k):
     np.testing.assert_allclose(model(x)[:, 0], 2 * x, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_data_of_weight_zero_are_not_scored():
     wild = np.arange(K) % 10 == 4
     y = (truth(X) + NOISE + np.where(wild, 30.0, 0.0))[:, None]
