@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from ._shown import shown
-from ._sources import Box, Interval, Source, sampled
+from ._sources import Box, Interval, Source, listed, sampled
 from .manifolds import (
     AbstractManifold,
     FlatTorus,
@@ -58,9 +57,9 @@ def outside(space: Box | Interval, flat):
 
 def described(space) -> str:
     if isinstance(space, Interval):
-        return f"the interval {shown([space.a, space.b])}"
+        return f"the interval {listed([space.a, space.b])}"
     if isinstance(space, Box):
-        return f"the box {shown(space.lower)} to {shown(space.upper)}"
+        return f"the box {listed(space.lower)} to {listed(space.upper)}"
     return type(space).__name__
 
 
@@ -70,7 +69,7 @@ def _check_inside(name, space, points, unit):
         unit = f", in {unit}" if unit else ""
         raise ValueError(
             f"{name}: {len(out)} of {len(points)} points lie outside {described(space)} "
-            f"(first at index {out[0]}: {shown(points[out[0]])}{unit}); widen it or drop "
+            f"(first at index {out[0]}: {listed(points[out[0]])}{unit}); widen it or drop "
             "them."
         )
 

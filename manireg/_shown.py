@@ -1,11 +1,17 @@
-"""Numbers in messages: no digit less than it takes to tell them apart."""
+"""A number as messages and tables show it."""
+
+from typing import Any
 
 import numpy as np
+from jaxtyping import ScalarLike
 
 
-def shown(value) -> str:
-    """The shortest text that identifies a number; of a sequence, the list of them."""
-    array = np.asarray(value)
-    if array.ndim:
-        return f"[{', '.join(map(shown, array))}]"
-    return str(array[()]).removesuffix(".0")
+def shown(value: ScalarLike) -> str:
+    """The shortest digits that read back as the same number, without a trailing `.0`:
+    two numbers that differ look different (1.7e9 + 0.05 is 1700000000.05)."""
+    number: Any = np.asarray(value)[()]
+    if number.dtype.kind != "f":
+        return str(number)
+    plain = 1e-4 <= abs(number) < 1e16 or number == 0
+    show = np.format_float_positional if plain else np.format_float_scientific
+    return show(number, trim="-")

@@ -101,6 +101,12 @@ def sampled_dim(source: Source) -> int:
     return sampled(source).dim
 
 
+def listed(values) -> str:
+    """A number, or the list of them, as `shown`."""
+    array = np.asarray(values)
+    return f"[{', '.join(map(listed, array))}]" if array.ndim else shown(array[()])
+
+
 def _bounds(values: Numbers) -> tuple[float, ...]:
     numbers, _ = numbers_and_unit("Box", values)
     return tuple(float(v) for v in np.atleast_1d(numbers))
@@ -118,10 +124,10 @@ def _bound(value: Numbers) -> float:
 def _check_bounds(name, lower, upper):
     if not (np.all(np.isfinite(lower)) and np.all(np.isfinite(upper))):
         raise ValueError(
-            f"{name}: bounds must be finite, found {shown(lower)} and {shown(upper)}."
+            f"{name}: bounds must be finite, found {listed(lower)} and {listed(upper)}."
         )
     if not np.all(np.asarray(lower) < np.asarray(upper)):
         raise ValueError(
-            f"{name}: the lower bound must be below the upper one, found {shown(lower)} "
-            f"and {shown(upper)}."
+            f"{name}: the lower bound must be below the upper one, found {listed(lower)} "
+            f"and {listed(upper)}."
         )

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import manireg as mr
 from manireg._numbers import as_numbers, numbers_and_unit
-from manireg._shown import shown
+from manireg._sources import listed
 from manireg.baselines import geodesic_regression, nadaraya_watson, volume_spline
 
 INTERVAL, LINE, SPHERE = mr.Interval(0, 1), mr.Euclidean(1), mr.Sphere(2)
@@ -235,7 +235,7 @@ def test_rotations_of_scipy():
     ],
 )
 def test_shown(value, text):
-    assert shown(value) == text
+    assert listed(value) == text
 
 
 def test_bounds_are_shown_with_all_digits():
