@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.special import roots_gegenbauer
 
-from ._checks import check_x64
 from ._domain import Domain, discretise, with_second_forms
 from ._frames import tangent_frames
+from ._precision import check_x64
 from ._sources import Source
 from .manifolds import AbstractManifold, Sphere
 
@@ -76,10 +76,12 @@ def _integrate(density, domain: Domain):
 
 
 def _samples(source: Source, samples: int | Domain) -> Domain:
-    check_x64()
+    check_x64(source)
     if isinstance(samples, Domain):
         return samples
     samples = int(samples)
+    if samples < 1:
+        raise ValueError(f"samples: must be at least 1, found {samples}.")
     if isinstance(source, Sphere) and source.dim > 1:
         return _sphere_gauss(source, samples)
     per_centre = 16 if source.dim == 2 else max(10, 3**source.dim)

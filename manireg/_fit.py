@@ -2,9 +2,8 @@
 
 from typing import Any, Literal
 
-from jaxtyping import ArrayLike, ScalarLike
-
 from ._geodesic_loss import solve_geodesic
+from ._numbers import Numbers
 from ._problem import make_problem
 from ._selection import cross_validate
 from ._solve import RegressionMap, solve
@@ -15,14 +14,16 @@ from .manifolds import AbstractManifold
 def fit(
     source: Source,
     target: AbstractManifold,
-    x: ArrayLike,
-    y: ArrayLike,
-    lam: ScalarLike | None = None,
+    x: Numbers,
+    y: Numbers,
+    lam: Numbers | None = None,
     *,
-    weights: ArrayLike | None = None,
+    weights: Numbers | None = None,
     centres: int | None = None,
     degree: int | None = None,
     width: float | None = None,
+    graded: bool = False,
+    tension: float = 0.0,
     loss: Literal["chord", "geodesic"] = "chord",
     **options,
 ) -> RegressionMap:
@@ -31,9 +32,10 @@ def fit(
     $$\min_\Psi \; \frac{\sum_i w_i d_N(y_i, \Psi(x_i))^2}{\sum_i w_i}
     + \lambda \int_M |\nabla d\Psi|^2$$
 
-    **Arguments:** `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`
-    as in `make_problem`; `lam` lambda, or None to choose it by `cross_validate`; other
-    options go to `solve` (with `lam`) or `cross_validate` (without).
+    **Arguments:** `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`,
+    `graded`, `tension` as in `make_problem`; `lam` lambda, or None to choose it by
+    `cross_validate`; other options go to `solve` (with `lam`) or `cross_validate`
+    (without).
 
     - `loss`: on a `PointCloud`, d_N is the chord (default: fast, right to third order) or
       the length of the shortest curve (`"geodesic"`, a few solves more, for data far from
@@ -49,6 +51,8 @@ def fit(
         "centres": centres,
         "degree": degree,
         "width": width,
+        "graded": graded,
+        "tension": tension,
     }
     if loss not in ("chord", "geodesic") or (loss == "geodesic" and lam is None):
         raise ValueError(

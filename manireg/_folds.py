@@ -7,24 +7,33 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 
 from .manifolds import AbstractManifold
 
+FOLDS = 10  # unless there are fewer data
 GRID = 20  # values of a default grid
 WIDENINGS = 2  # times it may be extended past an edge
 
 
 def training_sets(
-    k: int, folds: int, key: PRNGKeyArray | None
+    weights: Float[ArrayLike, " k"], folds: int | None, key: PRNGKeyArray | None
 ) -> Bool[np.ndarray, "folds k"]:
-    """Which data each random fold is fitted to; `folds=k` leaves out one at a time."""
+    """Which data each random fold is fitted to; `folds=k` leaves out one at a time,
+    default 10 or, of fewer data, k. Those of weight zero do not count: every fold is left
+    with some to score."""
+    heavy = np.asarray(weights) > 0
+    k = int(np.sum(heavy))
+    folds = min(FOLDS, k) if folds is None else folds
     if not 2 <= folds <= k:
+        of_weight = "" if np.all(heavy) else " of positive weight"
         raise ValueError(
-            f"folds: must lie between 2 and the number of data, {k}; found {folds}."
+            f"folds: must lie between 2 and the number of data{of_weight}, {k}; found "
+            f"{folds}."
         )
     key = jax.random.key(0) if key is None else key
-    fold_of = np.asarray(jax.random.permutation(key, k)) % folds
+    fold_of = np.zeros(len(heavy), dtype=int)
+    fold_of[heavy] = np.asarray(jax.random.permutation(key, k)) % folds
     return fold_of[None, :] != np.arange(folds)[:, None]
 
 
@@ -52,7 +61,7 @@ def evaluated(
     the best mean score sits on an edge, the grid is extended past it by a quarter of its
     range (in as many values as before: compiled programs are used again), at most twice.
     """
-    best_of = lambda results: int(jnp.argmin(jnp.mean(results[0], axis=0)))
+    best_of = lambda results: _lowest(jnp.mean(results[0], axis=0))
     results = evaluate(grid)
     ratios = (grid[-1] / grid[0]) ** (0.25 * jnp.arange(1, len(grid) + 1) / len(grid))
     for _ in range(WIDENINGS if widen else 0):
@@ -67,3 +76,14 @@ def evaluated(
         results = jax.tree.map(lambda a, b: join(a, b, 1), results, evaluate(new))
         grid = join(grid, new, 0)
     return grid, results, best_of(results)
+
+
+def _lowest(scores: Float[Array, " n"]) -> int:
+    """Of those that are numbers."""
+    means = np.asarray(scores)
+    if not np.any(np.isfinite(means)):
+        raise ValueError(
+            "cross-validation: no value of the grid has a finite score. Give a grid of "
+            "your own, or a value."
+        )
+    return int(np.argmin(np.where(np.isnan(means), np.inf, means)))

@@ -3,12 +3,13 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
-from ._checks import check_points, check_x64, is_concrete, projected
+from ._checks import check_points, is_concrete, projected
 from ._cloud_paths import cloud_paths
 from ._harmonic_curves import Geodesic, minimise_harmonic
+from ._numbers import Numbers, as_numbers
+from ._precision import check_x64
 from .manifolds import AbstractManifold, PointCloud
 from .manifolds._shooting import relaxed_curve
 
@@ -19,8 +20,8 @@ CLOUD_NOISE = 1e-4  # where steps that promise less than this may fail: patches 
 
 def geodesic(
     manifold: AbstractManifold,
-    p: ArrayLike,
-    q: ArrayLike,
+    p: Numbers,
+    q: Numbers,
     *,
     segments: int = 64,
 ) -> Geodesic:
@@ -57,7 +58,7 @@ def geodesic(
 
     Source: Steinke and Hein 2008, section 4 ("an exact, but more expensive method").
     """
-    check_x64()
+    check_x64(manifold)
     if not isinstance(manifold, AbstractManifold):
         raise ValueError(
             f"manifold: expected a manireg manifold, found {type(manifold).__name__}."
@@ -83,7 +84,7 @@ def _pairs(manifold: AbstractManifold, p, q):
     shape = manifold.point_shape
     points = []
     for name, value in (("p", p), ("q", q)):
-        value = value if not is_concrete(value) else np.asarray(value)
+        value = value if not is_concrete(value) else as_numbers(name, value)
         if value.ndim < len(shape) or value.shape[value.ndim - len(shape) :] != shape:
             expected = ", ".join(map(str, ("...", *shape)))
             raise ValueError(

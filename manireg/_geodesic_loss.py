@@ -2,9 +2,9 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import ScalarLike
 
 from ._geodesic import geodesic
+from ._numbers import Numbers
 from ._problem import Problem
 from ._solve import RegressionMap, solve
 from .manifolds import PointCloud
@@ -13,7 +13,7 @@ ROUNDS = 20
 SETTLED = 1e-5  # of the size of N: largest change of a fitted value at which they stop
 
 
-def solve_geodesic(problem: Problem, lam: ScalarLike, **options) -> RegressionMap:
+def solve_geodesic(problem: Problem, lam: Numbers, **options) -> RegressionMap:
     r"""`solve` with $d_N$ the length of shortest curves. A `PointCloud` measures distances
     along chords; around the fitted values $p_i$, $|\Psi(x_i) - (p_i + \log_{p_i} y_i)|^2$
     has the value and the gradient of $d_N^2$, so each solve pulls towards

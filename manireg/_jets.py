@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
-from ._local_polynomials import LocalPolynomials, basis_values
+from ._local_polynomials import COVERED, LocalPolynomials, basis_values
 
 IN_ELEMENT = 24  # points at most, half to all of it come out; on curves a spacing's
 STEP = 4  # centres; see `_padded`
@@ -160,11 +160,14 @@ def _elements(
     for e, cell in enumerate(cells):
         element[cell] = e
     supported, centre = _supports(basis, points)
-    uncovered = len(points) - len(np.unique(supported))
+    offset = points[supported] - np.asarray(basis.centres)[centre]
+    q = np.sum(offset**2, axis=1) / np.asarray(basis.widths)[centre] ** 2
+    covers = np.bincount(supported, (1 - q) ** 6, minlength=len(points))
+    uncovered = np.sum(covers <= COVERED)
     if uncovered:
         raise ValueError(
-            f"centres: {uncovered} of {len(points)} points lie outside the "
-            "support of every centre (no cover); use more centres or larger widths."
+            f"centres: {uncovered} of {len(points)} points lie outside (or at the rim of) "
+            "the support of every centre (no cover); use more centres or larger widths."
         )
     K = len(basis.centres)
     reaching, centre = np.divmod(np.unique(element[supported] * K + centre), K)

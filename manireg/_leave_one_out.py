@@ -1,8 +1,6 @@
 """Choice of lambda from one fit per lambda: what each datum would miss if left out, from
 the Hessian at the minimum (mathematics: 10.1)."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,13 +9,15 @@ import optimistix as optx
 from jaxtyping import Array, Float
 from tqdm.auto import tqdm
 
-from ._checks import check_lam
+from ._checks import check_lams
 from ._densities import project_flat
 from ._hessian import gauss_newton
 from ._jets import in_order
 from ._linear_solvers import DirectSolvers, direct_solvers
 from ._minimise import minimise, newton_minimiser, stage_of
+from ._numbers import Numbers
 from ._objective import Stage, at_data, objective
+from ._precision import check_x64
 from ._problem import Problem, psi_jets
 from ._selection import CrossValidation
 from ._solve import RegressionMap, regression_map
@@ -32,7 +32,7 @@ RTOL = 1e-4  # relative decrease at which the fits of the path stop
 
 def leave_one_out(
     problem: Problem,
-    lams: Sequence[float] | Float[Array, " lams"] | None = None,
+    lams: Numbers | None = None,
     *,
     linear_algebra: str = "auto",
     max_steps: int = 40,
@@ -55,13 +55,14 @@ def leave_one_out(
     **Arguments:** `problem` from `make_problem`; `lams` the grid, default five values of
     wavelengths (see `lambda_grid`) from 2.7 to 0.8 spacings of the data, extended (at most
     twice) where the best value or the choice sits on an edge; `progress` show a bar.
-    **Returns** what `cross_validate` does, with one fold a datum: `scores` are the
-    predicted lengths of the residuals, times the data's relative weights.
+    **Returns** what `cross_validate` does, with one fold a datum (of positive weight):
+    `scores` are the predicted lengths of the residuals, times the data's relative weights.
     """
+    check_x64(problem)
     given = lams is not None
+    heavy = np.asarray(problem.weights) > 0
     if given:
-        check_lam(lams, "lams")
-        grid = np.sort(np.asarray(lams, float).ravel())[::-1]
+        grid = check_lams(lams)[::-1]
     else:
         grid = np.asarray(_grid(problem))[::-1]
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
@@ -72,7 +73,7 @@ def leave_one_out(
         # a Python number would be compiled into the program
         traced = jnp.asarray(lam)
         model, errors = _fit_and_score(problem, traced, w, solvers, max_steps)
-        fits[lam] = model, np.asarray(errors)
+        fits[lam] = model, np.asarray(errors)[heavy]
         bar.update()
         return model.coefficients
 
@@ -135,7 +136,8 @@ def _fit_and_score(problem: Problem, lam, w, solvers: DirectSolvers, max_steps: 
     _, energies = objective(w, stage)
     model = regression_map(problem, w, lam, energies, result, stats)
     errors = left_out_errors(w, stage, solvers)
-    return model, errors * problem.weights / jnp.mean(problem.weights)
+    mean = jnp.sum(problem.weights) / jnp.sum(problem.weights > 0)
+    return model, errors * problem.weights / mean
 
 
 def left_out_errors(

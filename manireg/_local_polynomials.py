@@ -23,6 +23,10 @@ from scipy.spatial import KDTree
 from ._domain import Domain
 from ._frames import complete_frames
 
+# Least `cover` of a point. Where only the rims of supports meet, the quadrature misses how
+# one polynomial passes into the next.
+COVERED = 1e-4
+
 
 class LocalPolynomials(eqx.Module):
     """K centres with frames and widths. `dim` is the dimension m of the source."""

@@ -137,6 +137,8 @@ def objective(
     y = problem.y[problem.data_jets.index]
     loss = jnp.sum(data_weights(problem) * at_data(stage, geodesic_loss, values, y))
 
-    off_manifold = jnp.sqrt(jnp.max(gaps * problem.energy_jets.mask))
+    largest = jnp.max(gaps * problem.energy_jets.mask)
+    apart = largest > 0  # the root has no derivative at 0, where flat targets are
+    off_manifold = jnp.where(apart, jnp.sqrt(jnp.where(apart, largest, 1.0)), 0.0)
     total = loss + stage.lam * eells + stage.gamma * penalty
     return total, Energies(loss, eells, off_manifold)

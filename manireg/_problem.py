@@ -4,13 +4,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, Float, Int
 
-from ._checks import check_data, check_tension, check_x64
+from ._checks import check_data, check_dimension, check_tension
 from ._domain import Domain, centres_of, discretise
 from ._farthest_points import local_spacings
 from ._jets import Jets, bucket_centres, in_order, jet_values, jets_of, value_jets
 from ._local_polynomials import LocalPolynomials, local_polynomials
+from ._numbers import Numbers
+from ._precision import check_x64
 from ._sources import Ambient, Source, sampled, sampled_dim
 from ._sparse import SparsityPattern, band_order, sparsity
 from ._tension import Tension, tension_of
@@ -65,10 +67,10 @@ def psi_at_data(problem: Problem, w: Float[Array, "KC t"]) -> Float[Array, "k t"
 def make_problem(
     source: Source,
     target: AbstractManifold,
-    x: ArrayLike,
-    y: ArrayLike,
+    x: Numbers,
+    y: Numbers,
     *,
-    weights: ArrayLike | None = None,
+    weights: Numbers | None = None,
     centres: int | None = None,
     degree: int | None = None,
     width: float | None = None,
@@ -79,14 +81,18 @@ def make_problem(
 
     **Arguments:**
 
-    - `source`: `Interval`, `Box` or a manifold. Unbounded manifolds are cut to the
-      bounding box of `x`.
+    - `source`: `Interval`, `Box` or a manifold, of dimension 3 at most: above, second
+      derivatives do not control values. Unbounded manifolds are cut to the bounding box
+      of `x`.
     - `target`: a manifold.
-    - `x`: inputs `(k, *source.point_shape)`, in any order. Equal inputs with different
-      outputs are repeated measurements; a pair given twice is an error.
-    - `y`: outputs `(k, *target.point_shape)`, on the target to 1e-6 of its size.
-    - `weights`: positive weights `(k,)` of the squared errors; default 1. Only ratios
-      matter: the loss is a weighted mean.
+    - `x`: inputs `(k, *source.point_shape)`, in any order: arrays, lists, series or frames
+      of numbers, dates where points are plain numbers (see `Interval`), scipy's `Rotation`
+      for 3 x 3 rotations. Equal inputs are repeated measurements; for a pair given twice
+      its weights add.
+    - `y`: outputs `(k, *target.point_shape)`, on the target to 1e-6 of its reach (a cloud:
+      half a spacing), factor by factor in products.
+    - `weights`: `(k,)` of the squared errors, at least 0; default 1. Only ratios matter:
+      the loss is a weighted mean. Data of weight 0 are not fitted and not scored.
     - `centres`: about how many local polynomials; default k within 30..100 on curves,
       50..400 on surfaces, 60..400 above. More resolve finer detail; the cost grows with
       them.
@@ -108,11 +114,14 @@ def make_problem(
       one spacing cost the same. Default 0, the Eells energy alone. A and h stay those of
       these data if `y` or `weights` are replaced.
 
-    **Raises** ValueError for float32 mode, wrong shapes, NaN, points off the source or
-    the target, too few or repeated pairs, tension that is negative or on a source that is
-    not `Ambient`.
+    **Raises** ValueError for float32 mode, wrong shapes, NaN, masked or missing entries,
+    points off the source or the target (reflections among rotations are named), too few
+    distinct inputs of positive weight, a source of dimension 4 or more, tension that is
+    negative or on a source that is not `Ambient`.
     """
-    check_x64()
+    check_x64(source)
+    check_x64(target)
+    check_dimension(source)
     check_tension(tension, source)
     x, y, weights = check_data(source, target, x, y, weights)
     m = sampled_dim(source)

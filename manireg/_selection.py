@@ -1,20 +1,20 @@
 """Choice of lambda by cross-validation."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from tqdm.auto import tqdm
 
-from ._checks import check_lam
+from ._checks import check_lams
 from ._folds import GRID, evaluated, held_out_error, training_sets
 from ._linear_solvers import direct_solvers
 from ._minimise import gauge, minimise, newton_minimiser, stage_of
+from ._numbers import Numbers
 from ._objective import objective
+from ._precision import check_x64
 from ._problem import Problem, make_problem, psi_at_data
 from ._solve import RegressionMap, solve
 from ._sources import Source, sampled_dim
@@ -33,10 +33,12 @@ class CrossValidation(eqx.Module):
     """Scores of a grid of lambdas, the best one, and the map refitted with it."""
 
     lam: Float[Array, ""]
-    """The lambda of the lowest mean score."""
+    """`cross_validate`: of the lowest mean score; `leave_one_out`: the largest within one
+    standard error of it."""
     lams: Float[Array, " lams"]
     scores: Float[Array, "folds lams"]
-    """(Weighted) mean geodesic error on each held-out fold; infinite where not tried."""
+    """(Weighted) mean geodesic error on each held-out fold; infinite where not tried. Of
+    `leave_one_out` a row for each datum of positive weight."""
     converged: Bool[Array, "folds lams"]
     """Where Newton converged."""
     model: RegressionMap
@@ -60,6 +62,7 @@ def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
     A perturbation of wavelength l adds to loss and penalty alike at that lambda, whatever
     the scale of the target. Below the spacing the data say nothing.
     """
+    check_x64(problem)
     size = problem.volume ** (1 / sampled_dim(problem.source))
     low = jnp.log(lambda_of_wavelength(problem, mean_spacing(problem)))
     high = jnp.log(lambda_of_wavelength(problem, 2 * size))
@@ -69,16 +72,18 @@ def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
 def cross_validate(
     source: Source,
     target: AbstractManifold,
-    x: ArrayLike,
-    y: ArrayLike,
-    lams: Sequence[float] | Float[Array, " lams"] | None = None,
+    x: Numbers,
+    y: Numbers,
+    lams: Numbers | None = None,
     *,
-    folds: int = 10,
+    folds: int | None = None,
     key: PRNGKeyArray | None = None,
-    weights: ArrayLike | None = None,
+    weights: Numbers | None = None,
     centres: int | None = None,
     degree: int | None = None,
     width: float | None = None,
+    graded: bool = False,
+    tension: float = 0.0,
     linear_algebra: str = "auto",
     max_steps: int = 25,
     progress: bool = True,
@@ -96,11 +101,12 @@ def cross_validate(
 
     **Arguments:**
 
-    - `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`: as in
-      `make_problem`.
-    - `lams`: the grid, positive; default `lambda_grid`, extended (at most twice)
-      where the best value sits on an edge.
-    - `folds`: default 10, at most the number of data.
+    - `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`, `graded`,
+      `tension`: as in `make_problem`.
+    - `lams`: the grid, positive, in any order; equal ones are tried once. Default
+      `lambda_grid`, extended (at most twice) where the best value sits on an edge.
+    - `folds`: at most the number of data (of positive weight); default 10, or that number
+      if it is smaller.
     - `key`: for the random folds, default `jax.random.key(0)`.
     - `progress`: show a progress bar.
     """
@@ -113,8 +119,10 @@ def cross_validate(
         centres=centres,
         degree=degree,
         width=width,
+        graded=graded,
+        tension=tension,
     )
-    training = training_sets(len(problem.y), folds, key)
+    training = training_sets(problem.weights, folds, key)
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
 
     def evaluate(grid):
@@ -122,11 +130,7 @@ def cross_validate(
             shared = problem, solvers, max_steps
             return _follow(grid, shared, training, bar, adapt=lams is None)
 
-    if lams is None:
-        grid = lambda_grid(problem)
-    else:
-        check_lam(lams, "lams")
-        grid = jnp.sort(jnp.asarray(lams, float).ravel())
+    grid = lambda_grid(problem) if lams is None else jnp.asarray(check_lams(lams))
     grid, paths, best = evaluated(grid, evaluate, widen=lams is None)
     scores, converged, w = paths
     warm = _lowest(w[:, best], problem, grid[best])

@@ -9,18 +9,20 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Float, ScalarLike
+from jaxtyping import Array, Float
 
-from ._checks import check_lam, check_points, is_concrete, projected
+from ._checks import check_inputs, check_lam, is_concrete, projected
 from ._hessian import exact, gauss_newton
 from ._jets import centres_near
 from ._linear_solvers import DirectSolvers, direct_solvers
-from ._local_polynomials import LocalPolynomials, basis_values, cover
+from ._local_polynomials import COVERED, LocalPolynomials, basis_values, cover
 from ._minimise import Method, minimise, newton_minimiser, stage_of
 from ._newton import add_counts
+from ._numbers import Numbers
 from ._objective import Energies, Stage, objective
+from ._precision import check_x64
 from ._problem import Problem
-from ._sources import Source
+from ._sources import Ambient, Source
 from ._starts import STRIDE, starts_of
 from .manifolds import AbstractManifold
 
@@ -42,18 +44,21 @@ class RegressionMap(eqx.Module):
     result: optx.RESULTS
     stats: dict[str, Any]
 
-    def __call__(self, x: ArrayLike) -> Float[Array, "..."]:
-        """Values at `x`, `(n, *source.point_shape)`: `(n, *target.point_shape)`, on the
-        target.
+    __hash__ = object.__hash__  # `jax.jit(model)` asks for one
 
-        **Raises** ValueError (for traced `x`: a run-time error) outside the source or its
-        cover.
+    def __call__(self, x: Numbers) -> Float[Array, "..."]:
+        """Values at `x`, `(n, *source.point_shape)`: `(n, *target.point_shape)`, on the
+        target. A single point, `(*source.point_shape)`, gives a single point, so
+        `jax.vmap`, `jax.jit` and `jax.grad` take the model as it is.
+
+        **Raises** ValueError for wrong shapes, NaN, points off the source, and for a model
+        that was unpickled in float32 mode; a run-time error (`equinox.error_if`) outside
+        the cover of the fitted map. Of traced `x` the values are not known: NaN and points
+        outside an `Interval`, a `Box` or the cover are run-time errors, too; whether they
+        lie on a curved source is not looked at: `source.project` them if in doubt.
         """
-        if is_concrete(x):
-            flat = jnp.asarray(check_points("x", self.source, x))
-        else:
-            points = jnp.asarray(x)
-            flat = points.reshape(len(points), -1)
+        check_x64(self.basis)
+        flat, single = check_inputs(self.source, x)
         values, covered = evaluate(self.basis, self.coefficients, flat, self.origin)
         values = eqx.error_if(
             values,
@@ -61,7 +66,8 @@ class RegressionMap(eqx.Module):
             "x: some points lie outside the support of every centre of the fitted map; "
             "fit with inputs that cover them.",
         )
-        return projected(self.target, values.reshape(-1, *self.target.point_shape))
+        points = projected(self.target, values.reshape(-1, *self.target.point_shape))
+        return points[0] if single else points
 
 
 def evaluate(
@@ -85,7 +91,7 @@ def _evaluate(basis, w, x, origin, near):
     def one(x, near=everywhere):
         values = basis_values(basis, x, near).reshape(len(near), -1)
         psi = jnp.einsum("lc,lct->t", values, w[near])
-        return origin + psi, cover(basis, x, near) > 1e-6
+        return origin + psi, cover(basis, x, near) > COVERED
 
     points = (x,) if near is None else (x, near)
     values, covered = jax.lax.map(lambda point: one(*point), points, batch_size=256)
@@ -102,9 +108,9 @@ def regression_map(
 
 def solve(
     problem: Problem,
-    lam: ScalarLike,
+    lam: Numbers,
     *,
-    method: Method = "projected",
+    method: Method | None = None,
     starts: Sequence[float] = STARTS,
     warm: Float[Array, "KC t"] | None = None,
     rtol: float = 1e-12,
@@ -121,13 +127,16 @@ def solve(
     **Arguments:**
 
     - `problem`: from `make_problem`.
-    - `lam`: lambda > 0, exactly as in the formula; it has the unit of length^{4-m} of the
-      source.
-    - `method`: `"projected"` (default) minimises the Eells energy of $\pi \circ \Psi$,
-      with a weak pull of Psi towards N that fixes the gauge; the result lies on N and no
-      continuation is needed. `"penalty"` is the paper's: energy with the projector at
-      $\Psi$, plus $\gamma \int |\Psi - \pi\Psi|^2$ with gamma raised in stages.
-      Measured on curves on the sphere: same minimisers, a third of the Newton steps.
+    - `lam`: lambda > 0, one number, exactly as in the formula; it has the unit of
+      length^{4-m} of the source.
+    - `method`: `"projected"` (the default, but on `Ambient` sources) minimises the Eells
+      energy of $\pi \circ \Psi$, with a weak pull of Psi towards N that fixes the gauge;
+      the result lies on N and no continuation is needed. `"penalty"` is the paper's:
+      energy with the projector at $\Psi$, plus $\gamma \int |\Psi - \pi\Psi|^2$ with gamma
+      raised in stages. Measured on curves on the sphere: same minimisers, a third of the
+      Newton steps. On `Ambient` sources Psi is a map of the whole neighbourhood, which
+      need not stay on N off the manifold, so `"projected"` is an error there, and the
+      default is the energy of `"penalty"` with one gamma, 10 / vol(M).
     - `starts`: one a factor, the free (thin plate) solution at `lam * factor`, projected
       onto N, or where its objective is lower and the factor at least 1 the spline of
       logarithms; below 1 at no more than the lambda whose wavelength is 1.5 spacings of
@@ -135,24 +144,23 @@ def solve(
     - `warm`: coefficients of a map fitted on the same problem, as one more start.
     - `rtol`: relative decrease of the objective below which Newton stops; on a
       `PointCloud` not less than 1e-3, as its patches are wrong by more.
-    - `max_steps`: trial steps allowed. On a `PointCloud` those of all rounds, each on the
-      patches of the one before; at most 12 rounds of 4. There a fit is `successful` if it
-      met `rtol` and less than 1 % of the patches changed at the end.
+    - `max_steps`: trial steps allowed, at least 1. On a `PointCloud` those of all rounds,
+      each on the patches of the one before; at most 12 rounds of 4. There a fit is
+      `successful` if it met `rtol` and less than 1 % of the patches changed at the end.
     - `linear_algebra`: `"sparse"` (CPU), `"dense"` (any device), `"auto"`.
     - `throw`: raise if Newton fails; else look at `.result`.
+
+    **Raises** ValueError for float32 mode and arguments that are not as above.
     """
-    check_lam(lam)
-    if method not in ("projected", "penalty"):
-        raise ValueError(
-            f"method: expected 'projected' or 'penalty', found {method!r}."
-        )
+    lam = check_lam(lam)
+    _check_options(problem, method, starts, warm, max_steps)
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
     model = _solve(
         problem,
-        jnp.asarray(lam, float),
+        lam,
         tuple(starts),
         warm,
-        method,
+        method or "projected",
         solvers,
         rtol,
         max_steps,
@@ -162,6 +170,32 @@ def solve(
     failed = model.result != optx.RESULTS.successful
     w = model.result.error_if(model.coefficients, failed)
     return eqx.tree_at(lambda m: m.coefficients, model, w)
+
+
+def _check_options(problem: Problem, method, starts, warm, max_steps: int):
+    if method not in (None, "projected", "penalty"):
+        raise ValueError(
+            f"method: expected 'projected' or 'penalty', found {method!r}."
+        )
+    check_x64(problem)
+    if method == "projected" and isinstance(problem.source, Ambient):
+        raise ValueError(
+            "method: 'projected' is not defined on Ambient sources; leave it out, for the "
+            "energy of the map of the neighbourhood, or take 'penalty'."
+        )
+    if len(starts) == 0 and warm is None:
+        raise ValueError(
+            "starts: there is nothing to start from; give at least one factor, such as "
+            "1.0, or coefficients `warm`."
+        )
+    expected = (problem.pattern.size, problem.y.shape[1])
+    if warm is not None and jnp.shape(warm) != expected:
+        raise ValueError(
+            f"warm: expected coefficients {expected} of a map fitted on the same problem, "
+            f"found shape {jnp.shape(warm)}."
+        )
+    if max_steps < 1:
+        raise ValueError(f"max_steps: must be at least 1, found {max_steps}.")
 
 
 @eqx.filter_jit

@@ -6,18 +6,20 @@ import math
 import equinox as eqx
 import numpy as np
 
+from ._numbers import Numbers, numbers_and_unit
+from ._shown import shown
 from .manifolds import AbstractManifold
 
 
 class Box(eqx.Module):
     r"""The box $\prod_a [lower_a, upper_a] \subset \mathbb{R}^m$ as a source.
 
-    **Arguments:** `lower`, `upper`: sequences of m numbers, lower < upper.
-    Points are arrays `(..., m)`.
+    **Arguments:** `lower`, `upper`: sequences of m numbers (or dates, as of `Interval`),
+    lower < upper. Points are arrays `(..., m)`.
     """
 
-    lower: tuple[float, ...] = eqx.field(static=True, converter=lambda v: _floats(v))
-    upper: tuple[float, ...] = eqx.field(static=True, converter=lambda v: _floats(v))
+    lower: tuple[float, ...] = eqx.field(static=True, converter=lambda v: _bounds(v))
+    upper: tuple[float, ...] = eqx.field(static=True, converter=lambda v: _bounds(v))
 
     def __check_init__(self):
         if len(self.lower) != len(self.upper):
@@ -41,10 +43,16 @@ class Box(eqx.Module):
 
 
 class Interval(eqx.Module):
-    """The interval [a, b] as a source. Points are arrays `(...,)`: plain numbers."""
+    """The interval [a, b] as a source. Points are arrays `(...,)`: plain numbers.
 
-    a: float = eqx.field(static=True, converter=float)
-    b: float = eqx.field(static=True, converter=float)
+    Bounds and points may be dates (`datetime64`, pandas, `datetime`): they become seconds
+    since 1970-01-01 UTC (those without a time zone count as UTC), durations seconds. That
+    is the unit of the source: lambda is in s^3. A float64 tells today's dates apart to
+    2e-7 s; for finer times take durations since the first.
+    """
+
+    a: float = eqx.field(static=True, converter=lambda v: _bound(v))
+    b: float = eqx.field(static=True, converter=lambda v: _bound(v))
 
     def __check_init__(self):
         _check_bounds("Interval", (self.a,), (self.b,))
@@ -93,15 +101,33 @@ def sampled_dim(source: Source) -> int:
     return sampled(source).dim
 
 
-def _floats(values) -> tuple[float, ...]:
-    return tuple(float(v) for v in np.atleast_1d(np.asarray(values, dtype=float)))
+def listed(values) -> str:
+    """A number, or the list of them, as `shown`."""
+    array = np.asarray(values)
+    return f"[{', '.join(map(listed, array))}]" if array.ndim else shown(array[()])
+
+
+def _bounds(values: Numbers) -> tuple[float, ...]:
+    numbers, _ = numbers_and_unit("Box", values)
+    return tuple(float(v) for v in np.atleast_1d(numbers))
+
+
+def _bound(value: Numbers) -> float:
+    number, _ = numbers_and_unit("Interval", value)
+    if number.size != 1:
+        raise ValueError(
+            f"Interval: a bound is one number, found an array of shape {number.shape}."
+        )
+    return float(number.reshape(()))
 
 
 def _check_bounds(name, lower, upper):
     if not (np.all(np.isfinite(lower)) and np.all(np.isfinite(upper))):
-        raise ValueError(f"{name}: bounds must be finite, found {lower} and {upper}.")
+        raise ValueError(
+            f"{name}: bounds must be finite, found {listed(lower)} and {listed(upper)}."
+        )
     if not np.all(np.asarray(lower) < np.asarray(upper)):
         raise ValueError(
-            f"{name}: the lower bound must be below the upper one, found {lower} and "
-            f"{upper}."
+            f"{name}: the lower bound must be below the upper one, found {listed(lower)} "
+            f"and {listed(upper)}."
         )

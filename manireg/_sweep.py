@@ -10,6 +10,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
 
+from ._precision import check_x64
+
 LANES = PartitionSpec("lanes")
 REPLICATED = PartitionSpec()
 
@@ -39,8 +41,10 @@ def sweep(
     - `shared`: what is the same for all lanes, such as a problem.
     - `devices`: default `jax.devices()`.
 
-    **Raises** ValueError where leading axes differ or there are none.
+    **Raises** ValueError for float32 mode, and where leading axes differ or there are
+    none.
     """
+    check_x64()
     lengths = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(lanes)}
     if len(lengths) != 1 or () in lengths:
         raise ValueError(

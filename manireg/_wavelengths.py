@@ -1,6 +1,7 @@
 """Lambda as a wavelength: a perturbation of wavelength l adds to loss and penalty alike at
 lambda = (l / 2 pi)^4 / vol(M), whatever the scale of the target."""
 
+import jax.numpy as jnp
 import numpy as np
 
 from ._problem import Problem
@@ -10,8 +11,9 @@ ANCHOR = 1.5  # wavelength, in spacings of the data, under which maps follow the
 
 
 def mean_spacing(problem: Problem):
-    """Of the data, were they spread evenly."""
-    return (problem.volume / len(problem.y)) ** (1 / sampled_dim(problem.source))
+    """Of the data that have a weight, were they spread evenly."""
+    k = jnp.sum(problem.weights > 0)
+    return (problem.volume / k) ** (1 / sampled_dim(problem.source))
 
 
 def lambda_of_wavelength(problem: Problem, wavelength):

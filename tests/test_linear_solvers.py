@@ -20,8 +20,8 @@ from manireg._linear_solvers import (
     direct_solvers,
 )
 from manireg._minimise import gauge, stage_of
-from manireg._starts import free_solution
 from manireg._sparse import band_order
+from manireg._starts import free_solution
 
 
 def banded(n: int, reach: int, m: int, shift: float):

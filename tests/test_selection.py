@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import manireg as mr
+from manireg._folds import evaluated, training_sets
 
 INTERVAL, LINE = mr.Interval(0, 1), mr.Euclidean(1)
 K = 40
@@ -131,6 +132,62 @@ def test_weights_are_respected(chosen):
     assert choose(y).score > 5 * chosen.score
     clean = np.abs(result.model(NEW)[:, 0] - truth(NEW))
     assert clean.max() < 0.3
+
+
+def test_folds_of_few_data():
+    assert len(training_sets(np.ones(40), None, None)) == 10
+    few = training_sets(np.ones(4), None, None)
+    np.testing.assert_array_equal(np.sort(np.argmin(few, axis=0)), np.arange(4))
+    with pytest.raises(ValueError, match="folds: must lie between 2 and .* data, 4; f"):
+        training_sets(np.ones(4), 5, None)
+
+
+def test_every_fold_has_something_to_score():
+    weights = np.where(np.arange(30) % 3 == 0, 1.0, 0.0)
+    held_out = ~training_sets(weights, 10, None)
+    np.testing.assert_array_equal(held_out @ weights, np.ones(10))
+    assert np.all(held_out.sum(axis=0) == 1)
+    with pytest.raises(ValueError, match="data of positive weight, 10; found 11"):
+        training_sets(weights, 11, None)
+
+
+def test_no_number_never_wins():
+    grid = jnp.array([1.0, 2.0, 3.0])
+    scores = jnp.array([[jnp.nan, 2.0, 1.0], [0.0, 2.0, 1.0]])
+    assert evaluated(grid, lambda _: (scores,), widen=False)[2] == 2
+    with pytest.raises(ValueError, match="no value of the grid has a finite score"):
+        evaluated(grid, lambda _: (jnp.nan * scores,), widen=False)
+
+
+@pytest.mark.parametrize("k", [4, 9])
+def test_few_data(k):
+    x = np.linspace(0.1, 0.9, k)
+    model = mr.fit(INTERVAL, LINE, x, 2 * x[:, None], centres=10, progress=False)
+    np.testing.assert_allclose(model(x)[:, 0], 2 * x, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_data_of_weight_zero_are_not_scored():
+    wild = np.arange(K) % 10 == 4
+    y = (truth(X) + NOISE + np.where(wild, 30.0, 0.0))[:, None]
+    lams = [1e-4, 1e-6, 1e-5, 1e-5]
+    chosen = []
+    for weights, kept in ((1.0 - wild, slice(None)), (None, ~wild)):
+        problem = mr.make_problem(
+            INTERVAL, LINE, X[kept], y[kept], weights=weights, centres=20
+        )
+        folds = mr.cross_validate(
+            INTERVAL, LINE, X[kept], y[kept], lams, weights=weights, centres=20,
+            folds=4, progress=False,
+        )  # fmt: skip
+        chosen.append((folds, mr.leave_one_out(problem, lams, progress=False)))
+        shortest = 1 / 36  # the spacing of those that count
+        lowest = mr.lambda_grid(problem)[0]
+        np.testing.assert_allclose(lowest, (shortest / (2 * np.pi)) ** 4, rtol=1e-9)
+    for with_zeros, without in zip(*chosen):
+        np.testing.assert_array_equal(with_zeros.lams, [1e-6, 1e-5, 1e-4])
+        np.testing.assert_allclose(with_zeros.scores, without.scores, rtol=1e-6)
+        assert with_zeros.lam == without.lam
 
 
 def test_curve_on_the_sphere():

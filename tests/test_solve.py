@@ -146,6 +146,80 @@ def test_failure_is_told(problem):
         mr.solve(problem, LAM, max_steps=1)
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (dict(lam=[1e-4, 1e-3]), r"lam: expected one number, found shape \(2,\)"),
+        (dict(lam=True), "lam: expected real numbers, found dtype bool"),
+        (dict(starts=()), "starts: there is nothing to start from"),
+        (dict(warm=jnp.zeros((3, 3))), r"warm: expected .* found shape \(3, 3\)"),
+        (dict(max_steps=0), "max_steps: must be at least 1, found 0"),
+    ],
+)
+def test_bad_options(problem, options, message):
+    with pytest.raises(ValueError, match=message):
+        mr.solve(problem, **(dict(lam=LAM) | options))
+
+
+def test_lambda_in_any_array_of_size_one(problem, model):
+    for lam in (np.array([LAM]), jnp.full((1, 1), LAM), [LAM]):
+        again = mr.solve(problem, lam)
+        assert again.lam.shape == ()
+        np.testing.assert_array_equal(again(GRID), model(GRID))
+
+
+def test_warm_start_alone(problem, model):
+    again = mr.solve(problem, LAM, starts=(), warm=model.coefficients)
+    np.testing.assert_allclose(again(GRID), model(GRID), atol=1e-9)
+
+
+def test_no_projected_energy_of_the_neighbourhood():
+    x = mr.Sphere(2).random_points(jax.random.key(0), 20)
+    ambient = mr.make_problem(mr.Ambient(mr.Sphere(2)), mr.Sphere(2), x, x, centres=20)
+    with pytest.raises(ValueError, match="method: 'projected' is not defined on Amb"):
+        mr.solve(ambient, 1e-3, method="projected")
+
+
+def test_distance_to_a_flat_target_has_a_derivative():
+    x = np.linspace(0, 1, 9)
+    flat = mr.make_problem(
+        mr.Interval(0, 1), mr.Euclidean(1), x, x[:, None] ** 2, centres=10
+    )
+    slope = jax.grad(lambda lam: mr.solve(flat, lam).energies.off_manifold)(LAM)
+    assert slope == 0
+
+
+def test_equal_pairs_are_weights():
+    x = np.linspace(0, 1, 12)
+    y = np.sin(3 * x)[:, None]
+    again = np.append(np.arange(12), [4, 4, 7])
+    weights = np.bincount(again)
+    space = mr.Interval(0, 1), mr.Euclidean(1)
+    twice = mr.fit(*space, x[again], y[again], LAM, centres=12)
+    heavier = mr.fit(*space, x, y, LAM, weights=weights, centres=12)
+    np.testing.assert_allclose(twice(x), heavier(x), atol=1e-12)
+
+
+def test_weight_zero_is_left_out():
+    x = np.linspace(0, 1, 12)
+    wild = np.arange(12) % 5 == 2
+    y = np.where(wild, 50.0, np.sin(3 * x))[:, None]
+    space = mr.Interval(0, 1), mr.Euclidean(1)
+    zero = mr.fit(*space, x, y, LAM, weights=1.0 - wild, centres=12)
+    without = mr.fit(*space, x[~wild], y[~wild], LAM, centres=12)
+    np.testing.assert_allclose(zero(x), without(x), atol=1e-12)
+
+
+def test_fit_takes_what_problems_take():
+    source = mr.Ambient(mr.Sphere(2))
+    x = mr.Sphere(2).random_points(jax.random.key(0), 9)
+    for lam in (1e-2, None):
+        with pytest.raises(ValueError, match="tension: must be .* found -3"):
+            mr.fit(source, mr.Euclidean(3), x, x, lam, tension=-3.0)
+        with pytest.raises(ValueError, match="graded: only for sources that are point"):
+            mr.fit(source, mr.Euclidean(3), x, x, lam, graded=True)
+
+
 def test_isometry_of_the_sphere_is_found():
     points = mr.Sphere(2).random_points(jax.random.key(0), 40)
     turn = Rotation.from_rotvec([0.3, -1.2, 0.8]).as_matrix()

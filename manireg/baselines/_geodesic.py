@@ -4,12 +4,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
-from .._checks import check_data, check_x64
+from .._checks import check_data
+from .._numbers import Numbers
+from .._precision import check_x64
 from .._sources import Box, Interval, Source
 from ..manifolds import AbstractManifold, Euclidean
-from ._inputs import flat_inputs, only_for
+from ._inputs import only_for, predicted
 
 LOCAL_STARTS = 6
 MAX_STEPS = 500
@@ -30,20 +32,24 @@ class GeodesicRegression(eqx.Module):
     """(Weighted) mean squared geodesic error on the data."""
     result: optx.RESULTS
 
-    def __call__(self, x: ArrayLike) -> Float[Array, "n *point_shape"]:
-        """Values at `x`, `(n, *source.point_shape)`, on the target."""
-        offset = flat_inputs(self.source, x) - self.centre
-        return _geodesic(self.target, self.point, self.velocities, offset)
+    def __call__(self, x: Numbers) -> Float[Array, "..."]:
+        """Values at `x`, `(n, *source.point_shape)` or a single point, on the target."""
+
+        def values(flat):
+            offset = flat - self.centre
+            return _geodesic(self.target, self.point, self.velocities, offset)
+
+        return predicted(self, self.source, self.target, x, values)
 
 
 def geodesic_regression(
     source: Source,
     target: AbstractManifold,
-    x: ArrayLike,
-    y: ArrayLike,
+    x: Numbers,
+    y: Numbers,
     *,
     rank_one: bool = False,
-    weights: ArrayLike | None = None,
+    weights: Numbers | None = None,
 ) -> GeodesicRegression:
     r"""Minimise $\sum_i w_i d_N(y_i, \exp_p(\sum_a (x_{ia} - c_a) V_a))^2 / \sum_i w_i$
     over points p of N and tangent vectors V_a: in $\mathbb{R}^n$ the least squares line

@@ -5,15 +5,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 from scipy.sparse.linalg import spsolve
 
-from .._checks import check_data, check_lam, check_x64
+from .._checks import check_data, check_lam
 from .._frames import tangent_frames
+from .._numbers import Numbers
+from .._precision import check_x64
 from .._sources import Box, Interval, Source
 from ..manifolds import AbstractManifold
 from ._grid import Grid, cubic_weights, grid_on, interpolation, second_differences
-from ._inputs import flat_inputs, only_for
+from ._inputs import only_for, predicted
 from ._projected_thin_plate import projected_thin_plate
 
 NODES = {1: 400, 2: 40}
@@ -37,20 +39,24 @@ class HardConstraint(eqx.Module):
     """Gauss-Newton steps on the finest grid."""
     converged: bool
 
-    def __call__(self, x: ArrayLike) -> Float[Array, "n *point_shape"]:
-        """Values at `x`, `(n, *source.point_shape)`, on the target."""
-        values = _interpolate(self.grid, self.values, flat_inputs(self.source, x))
-        return self.target.project(values.reshape(-1, *self.target.point_shape))
+    def __call__(self, x: Numbers) -> Float[Array, "..."]:
+        """Values at `x`, `(n, *source.point_shape)` or a single point, on the target."""
+
+        def values(flat):
+            q = _interpolate(self.grid, self.values, flat)
+            return self.target.project(q.reshape(-1, *self.target.point_shape))
+
+        return predicted(self, self.source, self.target, x, values)
 
 
 def hard_constraint(
     source: Source,
     target: AbstractManifold,
-    x: ArrayLike,
-    y: ArrayLike,
-    lam: float,
+    x: Numbers,
+    y: Numbers,
+    lam: Numbers,
     *,
-    weights: ArrayLike | None = None,
+    weights: Numbers | None = None,
     nodes: int | None = None,
     max_steps: int = 100,
 ) -> HardConstraint:
@@ -78,7 +84,7 @@ def hard_constraint(
     - `max_steps`: Gauss-Newton steps a grid.
     """
     check_x64()
-    check_lam(lam)
+    lam = float(check_lam(lam))
     if not isinstance(source, Interval | Box):
         raise only_for("hard_constraint", "Interval, Box", source)
     nodes = NODES.get(source.dim, 12) if nodes is None else nodes
@@ -102,9 +108,9 @@ def hard_constraint(
             target=target,
             grid=grid,
             values=jnp.asarray(q),
-            lam=float(lam),
+            lam=lam,
             loss=parts.loss(q),
-            eells=parts.energy(q) / float(lam),
+            eells=parts.energy(q) / lam,
             steps=steps,
             converged=converged,
         )

@@ -1,18 +1,29 @@
 """What the baselines accept as inputs."""
 
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from collections.abc import Callable
 
-from .._checks import check_points, is_concrete
+from jaxtyping import Array, Float
+
+from .._checks import check_inputs
+from .._numbers import Numbers
+from .._precision import check_x64
 from .._sources import Source
+from ..manifolds import AbstractManifold
 
 
-def flat_inputs(source: Source, x: ArrayLike) -> Float[Array, "n s"]:
-    """New inputs of a fitted model, checked where their values are known."""
-    if is_concrete(x):
-        return jnp.asarray(check_points("x", source, x))
-    return jnp.asarray(x).reshape(np.shape(x)[0], -1)
+def predicted(
+    model,
+    source: Source,
+    target: AbstractManifold,
+    x: Numbers,
+    values: Callable[[Float[Array, "n s"]], Float[Array, "..."]],
+) -> Float[Array, "..."]:
+    """`values` of a fitted model at new inputs, checked as those of `RegressionMap` are;
+    for a single point a single one."""
+    check_x64(model)
+    flat, single = check_inputs(source, x)
+    points = values(flat).reshape(-1, *target.point_shape)
+    return points[0] if single else points
 
 
 def only_for(method: str, sources: str, source: Source) -> ValueError:

@@ -1,20 +1,24 @@
 """Local averages: the Nadaraya-Watson estimator with values in a manifold."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, ScalarLike
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, ScalarLike
 
-from .._checks import check_data, check_x64, is_concrete
+from .._checks import check_data, check_grid, check_positive
 from .._folds import GRID, evaluated, held_out_error, training_sets
+from .._numbers import Numbers
+from .._precision import check_x64
 from .._sources import Source
 from ..manifolds import AbstractManifold
 from ._frechet import frechet_mean
-from ._inputs import check_choice, flat_inputs
+from ._inputs import check_choice, predicted
 
+_BANDWIDTH = (
+    "must be positive and finite",
+    "Leave it out to choose by cross-validation.",
+)
 BATCH = 64  # means side by side; a batch iterates until its slowest has settled
 # means of far too wide kernels may wander; scores need neither their digits nor the
 # best of several minima
@@ -36,25 +40,27 @@ class NadarayaWatson(eqx.Module):
     """(Weighted) mean geodesic error on each held-out fold; no folds if
     `bandwidth` was given."""
 
-    def __call__(self, x: ArrayLike) -> Float[Array, "n *point_shape"]:
-        """Values at `x`, `(n, *source.point_shape)`, on the target."""
-        flat = flat_inputs(self.source, x)
-        anywhere = jnp.ones((len(flat), len(self.x)), bool)
-        values = _means(self, flat, self.bandwidth, anywhere)
-        return values.reshape(-1, *self.target.point_shape)
+    def __call__(self, x: Numbers) -> Float[Array, "..."]:
+        """Values at `x`, `(n, *source.point_shape)` or a single point, on the target."""
+
+        def values(flat):
+            anywhere = jnp.ones((len(flat), len(self.x)), bool)
+            return _means(self, flat, self.bandwidth, anywhere)
+
+        return predicted(self, self.source, self.target, x, values)
 
 
 def nadaraya_watson(
     source: Source,
     target: AbstractManifold,
-    x: ArrayLike,
-    y: ArrayLike,
-    bandwidth: ScalarLike | None = None,
+    x: Numbers,
+    y: Numbers,
+    bandwidth: Numbers | None = None,
     *,
-    bandwidths: Sequence[float] | Float[Array, " grid"] | None = None,
-    folds: int = 10,
+    bandwidths: Numbers | None = None,
+    folds: int | None = None,
     key: PRNGKeyArray | None = None,
-    weights: ArrayLike | None = None,
+    weights: Numbers | None = None,
 ) -> NadarayaWatson:
     r"""$\Psi(x) = \arg\min_q \sum_i w_i e^{-d_M(x, x_i)^2 / 2h^2} d_N(q, y_i)^2$, see
     `frechet_mean`.
@@ -79,15 +85,13 @@ def nadaraya_watson(
         source, target, flat, outputs, weights, bandwidth, grid, scores
     )
     if bandwidth is not None:
-        _check_bandwidth(bandwidth, "bandwidth")
-        bandwidth = jnp.asarray(bandwidth, float)
+        bandwidth = check_positive("bandwidth", bandwidth, *_BANDWIDTH)
         return build(bandwidth, bandwidth[None], jnp.zeros((0, 1)))
-    training = jnp.asarray(training_sets(len(flat), folds, key))
+    training = jnp.asarray(training_sets(weights, folds, key))
     if bandwidths is None:
         grid = _bandwidth_grid(source, flat)
     else:
-        _check_bandwidth(bandwidths, "bandwidths")
-        grid = jnp.sort(jnp.asarray(bandwidths, float).ravel())
+        grid = jnp.asarray(check_grid("bandwidths", bandwidths, *_BANDWIDTH))
     draft = build(grid[0], grid, jnp.zeros((0, len(grid))))
     evaluate = lambda grid: (_scores(draft, training, grid),)
     grid, (scores,), best = evaluated(grid, evaluate, widen=bandwidths is None)
@@ -149,14 +153,3 @@ def _scores(
         return jax.vmap(score)(training)
 
     return jax.lax.map(one, bandwidths).T
-
-
-def _check_bandwidth(value, name: str) -> None:
-    if not is_concrete(value):
-        return
-    values = np.asarray(value, dtype=float)
-    if values.size == 0 or not (np.all(np.isfinite(values)) and np.all(values > 0)):
-        raise ValueError(
-            f"{name}: must be positive and finite, found {value}; leave it out to "
-            "choose by cross-validation."
-        )

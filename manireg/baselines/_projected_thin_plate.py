@@ -1,23 +1,22 @@
 """Smoothing in the ambient space, then projection onto N."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray, ScalarLike
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from .._checks import check_lam
+from .._checks import check_lam, check_lams
 from .._folds import evaluated, held_out_error, training_sets
 from .._linear_solvers import DirectSolvers, direct_solvers
 from .._local_polynomials import LocalPolynomials
+from .._numbers import Numbers
 from .._problem import Problem, make_problem, psi_at_data
 from .._selection import lambda_grid
 from .._solve import evaluate
 from .._sources import Source
 from .._starts import free_solution
 from ..manifolds import AbstractManifold
-from ._inputs import check_choice, flat_inputs
+from ._inputs import check_choice, predicted
 
 
 class ProjectedThinPlate(eqx.Module):
@@ -35,31 +34,32 @@ class ProjectedThinPlate(eqx.Module):
     """(Weighted) mean geodesic error on each held-out fold; no folds if `lam`
     was given."""
 
-    def ambient(self, x: ArrayLike) -> Float[Array, "n *point_shape"]:
+    def ambient(self, x: Numbers) -> Float[Array, "..."]:
         """The spline itself, before the projection."""
-        flat = flat_inputs(self.source, x)
-        values, covered = evaluate(self.basis, self.coefficients, flat, self.origin)
-        values = eqx.error_if(
-            values, ~covered, "x: some points lie outside the cover of the fitted map."
-        )
-        return values.reshape(-1, *self.target.point_shape)
 
-    def __call__(self, x: ArrayLike) -> Float[Array, "n *point_shape"]:
-        """Values at `x`, `(n, *source.point_shape)`, on the target."""
+        def values(flat):
+            values, covered = evaluate(self.basis, self.coefficients, flat, self.origin)
+            message = "x: some points lie outside the cover of the fitted map."
+            return eqx.error_if(values, ~covered, message)
+
+        return predicted(self, self.source, self.target, x, values)
+
+    def __call__(self, x: Numbers) -> Float[Array, "..."]:
+        """Values at `x`, `(n, *source.point_shape)` or a single point, on the target."""
         return self.target.project(self.ambient(x))
 
 
 def projected_thin_plate(
     source: Source,
     target: AbstractManifold,
-    x: ArrayLike,
-    y: ArrayLike,
-    lam: ScalarLike | None = None,
+    x: Numbers,
+    y: Numbers,
+    lam: Numbers | None = None,
     *,
-    lams: Sequence[float] | Float[Array, " lams"] | None = None,
-    folds: int = 10,
+    lams: Numbers | None = None,
+    folds: int | None = None,
     key: PRNGKeyArray | None = None,
-    weights: ArrayLike | None = None,
+    weights: Numbers | None = None,
     centres: int | None = None,
     degree: int = 2,
     width: float | None = None,
@@ -101,15 +101,10 @@ def projected_thin_plate(
         scores,
     )
     if lam is not None:
-        check_lam(lam)
-        lam = jnp.asarray(lam, float)
+        lam = check_lam(lam)
         return build(lam, lam[None], jnp.zeros((0, 1)))
-    training = jnp.asarray(training_sets(len(problem.y), folds, key))
-    if lams is None:
-        grid = lambda_grid(problem)
-    else:
-        check_lam(lams, "lams")
-        grid = jnp.sort(jnp.asarray(lams, float).ravel())
+    training = jnp.asarray(training_sets(problem.weights, folds, key))
+    grid = lambda_grid(problem) if lams is None else jnp.asarray(check_lams(lams))
     evaluate = lambda grid: (_scores(problem, training, grid, solvers),)
     grid, (scores,), best = evaluated(grid, evaluate, widen=lams is None)
     return build(grid[best], grid, scores)

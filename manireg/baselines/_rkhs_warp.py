@@ -3,10 +3,10 @@
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
-from jaxtyping import ArrayLike
 
-from .._checks import check_x64
 from .._farthest_points import farthest_indices
+from .._numbers import Numbers
+from .._precision import check_x64
 from ..manifolds import PointCloud
 from ._surface_terms import SurfaceTerms
 from ._surface_warp import SurfaceWarp, checked_positions, checked_task, surface_warp
@@ -19,10 +19,10 @@ RTOL = 1e-3  # relative decrease at which a level ends
 
 
 def rkhs_warp(
-    source_vertices: ArrayLike,
-    source_normals: ArrayLike,
-    source_landmarks: ArrayLike,
-    target_landmarks: ArrayLike,
+    source_vertices: Numbers,
+    source_normals: Numbers,
+    source_landmarks: Numbers,
+    target_landmarks: Numbers,
     target: PointCloud,
     *,
     levels: int = 4,
@@ -72,7 +72,7 @@ def rkhs_warp(
       tells how well others do.
     - `affine`: False starts from the identity.
     """
-    check_x64()
+    check_x64(target)
     vertices, x, y = checked_task(
         source_vertices, source_landmarks, target_landmarks, target
     )

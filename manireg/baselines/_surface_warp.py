@@ -6,10 +6,12 @@ from collections.abc import Callable
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float, PRNGKeyArray
+from jaxtyping import Float, PRNGKeyArray
 
 from .. import _checks
 from .._folds import training_sets
+from .._numbers import Numbers, as_numbers
+from .._precision import check_x64
 from ..manifolds import PointCloud
 
 
@@ -24,11 +26,11 @@ class SurfaceWarp(eqx.Module):
     vertices: Float[np.ndarray, "n 3"]
     """`deformed`, moved to the closest points of the target."""
 
-    def ambient(self, x: ArrayLike) -> Float[np.ndarray, "n 3"]:
+    def ambient(self, x: Numbers) -> Float[np.ndarray, "n 3"]:
         """The warp itself, before the projection."""
         return self.deformation(checked_positions("x", x))
 
-    def __call__(self, x: ArrayLike) -> Float[np.ndarray, "n 3"]:
+    def __call__(self, x: Numbers) -> Float[np.ndarray, "n 3"]:
         return projected(self.target, self.ambient(x))
 
 
@@ -39,8 +41,8 @@ def surface_warp(target: PointCloud, deformation, vertices) -> SurfaceWarp:
 
 def held_out_errors(
     fit: Callable[[np.ndarray, np.ndarray], Callable[[np.ndarray], np.ndarray]],
-    source_landmarks: ArrayLike,
-    target_landmarks: ArrayLike,
+    source_landmarks: Numbers,
+    target_landmarks: Numbers,
     *,
     folds: int | None = None,
     key: PRNGKeyArray | None = None,
@@ -54,7 +56,9 @@ def held_out_errors(
     """
     x, y = checked_pairs(source_landmarks, target_landmarks)
     errors = np.zeros(len(x))
-    for training in training_sets(len(x), len(x) if folds is None else folds, key):
+    for training in training_sets(
+        np.ones(len(x)), len(x) if folds is None else folds, key
+    ):
         held = ~np.asarray(training)
         predicted = fit(x[~held], y[~held])(x[held])
         errors[held] = np.linalg.norm(predicted - y[held], axis=1)
@@ -62,6 +66,7 @@ def held_out_errors(
 
 
 def projected(target: PointCloud, points: np.ndarray) -> np.ndarray:
+    check_x64(target)
     return np.asarray(_checks.projected(target, jnp.asarray(points)))
 
 
@@ -70,18 +75,17 @@ def projected(target: PointCloud, points: np.ndarray) -> np.ndarray:
 
 def checked_positions(name: str, points, like=None) -> np.ndarray:
     """Points of space, as many as there are in `like`."""
-    points = np.asarray(points)
-    if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
+    points = as_numbers(name, points)
+    if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(
-            f"{name}: expected positions (n, 3), found shape {points.shape} of "
-            f"{points.dtype}. (Of vertex numbers: vertices[numbers].)"
+            f"{name}: expected positions (n, 3), found shape {points.shape}. (Of vertex "
+            "numbers: vertices[numbers].)"
         )
-    points = points.astype(float)
     bad = np.flatnonzero(~np.all(np.isfinite(points), axis=1))
     if len(bad):
         raise ValueError(
-            f"{name}: {len(bad)} of {len(points)} points hold NaN or infinity (first at "
-            f"index {bad[0]}); remove them."
+            f"{name}: {len(bad)} of {len(points)} points hold NaN or infinity or are "
+            f"missing (first at index {bad[0]}); remove them."
         )
     if like is not None and len(points) != len(like):
         raise ValueError(f"{name}: expected {len(like)} points, found {len(points)}.")

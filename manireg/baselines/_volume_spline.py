@@ -1,17 +1,17 @@
 """The spline of space through the landmarks, then the closest point."""
 
-from jaxtyping import ArrayLike
 from scipy.interpolate import RBFInterpolator
 
-from .._checks import check_x64
+from .._numbers import Numbers
+from .._precision import check_x64
 from ..manifolds import PointCloud
 from ._surface_warp import SurfaceWarp, checked_task, surface_warp
 
 
 def volume_spline(
-    source_vertices: ArrayLike,
-    source_landmarks: ArrayLike,
-    target_landmarks: ArrayLike,
+    source_vertices: Numbers,
+    source_landmarks: Numbers,
+    target_landmarks: Numbers,
     target: PointCloud,
     *,
     kernel: str = "linear",
@@ -39,7 +39,7 @@ def volume_spline(
     - `smoothing`: 0 interpolates; for noisy landmarks see scipy's `RBFInterpolator`,
       which does the work, and `held_out_errors`.
     """
-    check_x64()
+    check_x64(target)
     if kernel not in ("linear", "thin_plate_spline"):
         raise ValueError(
             f"kernel: expected 'linear' or 'thin_plate_spline', found {kernel!r}."

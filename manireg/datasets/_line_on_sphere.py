@@ -5,6 +5,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
+from .._precision import check_x64
+
 
 class LineOnSphere(eqx.Module):
     r"""Noisy samples `y` (k, 3) of the curve `truth` at inputs `x` (k,) in [0, 1]."""
@@ -45,6 +47,7 @@ def line_on_sphere(
     is the azimuth, phi the elevation, as in MATLAB's `sph2cart` (41.6 and 1.1e5).
     `sort=True` sorts the inputs.
     """
+    check_x64()
     if convention not in ("polar", "azimuth"):
         raise ValueError(f"`convention` is 'polar' or 'azimuth', found {convention!r}.")
     if k < 1:
@@ -68,6 +71,7 @@ def von_mises_fisher(
     $s = -\log(1 - u (1 - e^{-2\kappa})) / \kappa$ with u uniform; the azimuth about the
     mean is uniform. Working with s keeps full relative accuracy at any concentration.
     """
+    check_x64()
     key_s, key_azimuth = jax.random.split(key)
     u = jax.random.uniform(key_s, mean.shape[:-1], mean.dtype)
     azimuth = 2 * jnp.pi * jax.random.uniform(key_azimuth, u.shape, mean.dtype)

@@ -59,13 +59,15 @@ def a95_weights(a95: Sequence[float] | ArrayLike) -> Float[np.ndarray, " n"]:
     The mean of N directions of concentration kappa has standard deviation
     $\sigma = 1/\sqrt{\kappa N}$ in each tangent direction, and
     $\alpha_{95} = 140°/\sqrt{\kappa N}$, so $\sigma = \alpha_{95} / 140°$ and the unit
-    of `a95` drops out. A radius that is zero or missing (NaN) says nothing about the
-    precision: it counts as the median of the others; with no others all weights are 1.
+    of `a95` drops out. A radius that is zero or missing (NaN, masked) says nothing about
+    the precision: it counts as the median of the others; with no others all weights are 1.
     """
-    a95 = np.asarray(a95, np.float64)
+    a95 = np.ma.filled(np.ma.asarray(a95).astype(float), np.nan)
     known = np.isfinite(a95) & (a95 > 0)
     if (a95 < 0).any():
-        raise ValueError("`a95` has negative entries.")
+        raise ValueError(
+            f"`a95` has negative entries, the first at index {np.argmax(a95 < 0)}."
+        )
     if not known.any():
         return np.ones_like(a95)
     weights = 1 / np.where(known, a95, np.median(a95[known])) ** 2

@@ -8,9 +8,11 @@ from scipy.spatial import KDTree
 HUB = 50  # neighbours of a vertex through which no ring goes on
 EQUAL = 1e-6  # distances that differ by a smaller share are equal: the lower index wins
 
+from .._numbers import as_numbers
+
 
 def checked_points(points, normals, distinct: bool) -> tuple[np.ndarray, np.ndarray]:
-    points, normals = (np.asarray(a, dtype=float) for a in (points, normals))
+    points, normals = as_numbers("points", points), as_numbers("normals", normals)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(
             f"points: expected shape (P, 3), or (P, 2) for a curve, found {points.shape}."
@@ -81,7 +83,7 @@ def triangle_areas(corners) -> np.ndarray:
 
 
 def check_areas(areas, points) -> None:
-    areas = np.asarray(areas, dtype=float)
+    areas = as_numbers("areas", areas)
     if areas.shape != (len(points),) or not np.all(areas > 0) or np.isinf(areas).any():
         raise ValueError(
             f"areas: expected {len(points)} positive numbers, one for each point, found "

@@ -9,7 +9,9 @@ import jaxkd.tree
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, PRNGKeyArray, ScalarLike
 
+from .._numbers import Numbers
 from .._numerics import norm_squared
+from .._precision import check_x64
 from ..meshes._surface import mesh_surface
 from ._base import AbstractManifold
 from ._cloud_fits import (
@@ -82,14 +84,15 @@ class PointCloud(AbstractManifold):
 
     def __init__(
         self,
-        points: ArrayLike,
-        normals: ArrayLike,
+        points: Numbers,
+        normals: Numbers,
         *,
         neighbours: int | None = None,
-        areas: ArrayLike | None = None,
+        areas: Numbers | None = None,
         triangles: ArrayLike | None = None,
         search: Callable[[Array, Array], Array] | None = None,
     ):
+        check_x64()
         points, normals = checked_points(points, normals, distinct=triangles is None)
         s = points.shape[1]
         if neighbours is None:
