@@ -9,9 +9,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Complex, Float, PRNGKeyArray
 
-from .._numerics import angle_over_sine, cos_sinc, norm_squared, squared_angle
+from .._numerics import cos_sinc, norm_squared, squared_angle
 from ._base import AbstractManifold
 from ._matrix_functions import off_diagonal, symmetric_part, top_eigenprojector
+from ._rank_one import line_log
 
 
 class PlanarShapes(AbstractManifold):
@@ -104,8 +105,8 @@ class PlanarShapes(AbstractManifold):
         return jax.lax.complex(xy[..., 0], xy[..., 1])
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""Projector on the leading eigenvector of the Hermitian part of p; undefined
-        where $\lambda_1 = \lambda_2$."""
+        r"""Projector on the leading eigenvector of the Hermitian part of p; one of
+        several, without derivatives, where $\lambda_1 = \lambda_2$."""
         return _as_real(self._projector(p))
 
     def _projector(self, p: Float[Array, "..."]) -> Complex[Array, "..."]:
@@ -147,9 +148,9 @@ class PlanarShapes(AbstractManifold):
     def log(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        r"""$\frac{2\theta}{\sin 2\theta} P_p q$."""
-        factor = angle_over_sine(2 * norm_squared(p - q, 3))
-        return factor[..., None, None, None] * self.tangent_projection(p, q)
+        r"""$\frac{2\theta}{\sin 2\theta} P_p q$, to rounding for all p, q. For
+        $\theta = \pi/2$ (the cut locus) it is one of the geodesics."""
+        return _as_real(line_log(_as_complex(p), _as_complex(q)))
 
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Uniform: the shapes of independent Gaussian landmarks."""
