@@ -11,7 +11,7 @@ from jaxtyping import Array, Complex, Float, PRNGKeyArray
 
 from .._numerics import cos_sinc, norm_squared, squared_angle
 from ._base import AbstractManifold
-from ._matrix_functions import off_diagonal, symmetric_part, top_eigenprojector
+from ._matrix_functions import matmul, off_diagonal, symmetric_part, top_eigenprojector
 from ._rank_one import line_log
 
 
@@ -124,8 +124,8 @@ class PlanarShapes(AbstractManifold):
     ) -> Float[Array, "..."]:
         r"""$II_P(U, V) = (I - 2P)(UV + VU)$."""
         u, v = _as_complex(u), _as_complex(v)
-        both = u @ v + v @ u
-        return _as_real(both - 2 * (_as_complex(p) @ both))
+        both = matmul(u, v) + matmul(v, u)
+        return _as_real(both - 2 * matmul(_as_complex(p), both))
 
     def squared_distance(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
@@ -142,7 +142,7 @@ class PlanarShapes(AbstractManifold):
         cosine, sinc = cos_sinc(norm_squared(v, 3)[..., None, None, None] / 2)
         x = _as_complex(v)
         return cosine * (cosine * p + sinc * v) + sinc**2 * _as_real(
-            x @ _as_complex(p) @ x
+            matmul(matmul(x, _as_complex(p)), x)
         )
 
     def log(
