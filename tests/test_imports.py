@@ -11,7 +11,8 @@ from pathlib import Path
 import manireg
 
 FLOORS: Sequence[str] = """
-_numerics _sweep manifolds _sources _frames _charts _checks _cloud_paths
+_precision _shown _numbers _numerics _sweep manifolds _sources _frames _charts
+_membership _checks _cloud_paths
 _block_banded _harmonic_curves _geodesic _farthest_points _point_sets _domain
 _energy _local_polynomials _jets _densities _sparse _linear_solvers _tension _problem
 _local_target _objective _assembly _hessian _newton _continuation _minimise _solve

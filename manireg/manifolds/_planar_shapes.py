@@ -11,6 +11,7 @@ from jaxtyping import Array, Complex, Float, PRNGKeyArray
 
 from .._numerics import cos_sinc, norm_squared, squared_angle
 from ._base import AbstractManifold
+from ._intake import Numbers, as_array, first_index
 from ._matrix_functions import matmul, off_diagonal, symmetric_part, top_eigenprojector
 from ._rank_one import line_log
 
@@ -52,28 +53,31 @@ class PlanarShapes(AbstractManifold):
     def injectivity_radius(self) -> float:
         return math.sqrt(0.5) * math.pi
 
-    def from_landmarks(
-        self, landmarks: Float[Array | np.ndarray, "..."]
-    ) -> Float[Array, "..."]:
-        """Shapes `(..., 2, k-1, k-1)` of landmarks `(..., k, 2)`.
+    def from_landmarks(self, landmarks: Numbers) -> Float[Array, "..."]:
+        """Shapes `(..., 2, k-1, k-1)` of landmarks `(..., k, 2)`: real numbers of any
+        kind, such as integer pixels.
 
-        **Raises:** ValueError for another shape, or (outside of `jit`) where all k
-        landmarks coincide.
+        **Raises:** ValueError for another shape, masked entries, or (outside of `jit`)
+        where all k landmarks coincide, or one is not finite.
         """
         z = self._helmert_coordinates(landmarks)
         size2 = norm_squared(z.real) + norm_squared(z.imag)
-        if not isinstance(size2, Tracer) and not np.all(size2 > 0):
-            raise ValueError(
-                "PlanarShapes: `landmarks` holds a configuration without a shape (all "
-                "landmarks coincide, or one is NaN); leave it out."
-            )
+        if not isinstance(size2, Tracer):
+            shapeless = np.asarray(~(size2 > 0) | ~jnp.isfinite(size2))
+            if shapeless.any():
+                raise ValueError(
+                    f"PlanarShapes: `landmarks` holds {shapeless.sum()} of "
+                    f"{shapeless.size} configurations without a shape (all landmarks "
+                    "coincide, or one is NaN or infinite; first at index "
+                    f"{first_index(shapeless)}); leave them out."
+                )
         z = z / jnp.sqrt(size2)[..., None].astype(z.dtype)
         return _as_real(z[..., :, None] * jnp.conj(z[..., None, :]))
 
     def to_landmarks(
         self,
         p: Float[Array, "..."],
-        reference: Float[Array | np.ndarray, "..."] | None = None,
+        reference: Numbers | None = None,
     ) -> Float[Array, "..."]:
         """Landmarks `(..., k, 2)` of shape `p`, centred and of unit size (the squared
         norms of the landmarks sum to 1).
@@ -91,17 +95,15 @@ class PlanarShapes(AbstractManifold):
         helmert = jnp.asarray(_helmert(self.k), p.dtype)
         return jnp.stack([z.real / size @ helmert, z.imag / size @ helmert], axis=-1)
 
-    def _helmert_coordinates(
-        self, landmarks: Float[Array | np.ndarray, "..."]
-    ) -> Complex[Array, "..."]:
-        landmarks = jnp.asarray(landmarks)
+    def _helmert_coordinates(self, landmarks: Numbers) -> Complex[Array, "..."]:
+        landmarks = as_array("PlanarShapes: `landmarks`", landmarks)
         if landmarks.shape[-2:] != (self.k, 2):
             raise ValueError(
                 f"PlanarShapes: landmarks must have shape (..., {self.k}, 2), found "
                 f"{landmarks.shape}."
             )
-        helmert = jnp.asarray(_helmert(self.k), landmarks.dtype)
-        xy = helmert @ landmarks
+        # from one of them: far from the origin the differences have more digits
+        xy = jnp.asarray(_helmert(self.k)) @ (landmarks - landmarks[..., :1, :])
         return jax.lax.complex(xy[..., 0], xy[..., 1])
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
