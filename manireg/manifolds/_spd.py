@@ -112,7 +112,7 @@ class SymmetricPositiveDefinite(AbstractManifold):
 def _check_positive_definite(matrices: np.ndarray) -> None:
     size = np.max(np.abs(matrices), axis=(-2, -1), initial=0.0)
     asymmetry = np.abs(matrices - np.swapaxes(matrices, -1, -2)).max((-2, -1))
-    askew = ~(asymmetry <= 1e-6 * size)
+    askew = np.asarray(~(asymmetry <= 1e-6 * size))
     if askew.any():
         raise ValueError(
             f"SymmetricPositiveDefinite: `matrices` holds {askew.sum()} of {askew.size} "
@@ -120,7 +120,7 @@ def _check_positive_definite(matrices: np.ndarray) -> None:
             f"largest asymmetry {np.max(asymmetry):.3g}); symmetrise."
         )
     smallest = np.linalg.eigvalsh(matrices)[..., 0]
-    bad = ~(smallest > 0)
+    bad = np.asarray(~(smallest > 0))
     if bad.any():
         raise ValueError(
             f"SymmetricPositiveDefinite: `matrices` holds {bad.sum()} of {bad.size} "
