@@ -16,10 +16,12 @@ from scipy.spatial.transform import Rotation
 from manireg.manifolds import (
     Grassmann,
     PlanarShapes,
+    Product,
     SpecialOrthogonal,
     Sphere,
     Stiefel,
     SymmetricPositiveDefinite,
+    doubt,
 )
 
 MANIFOLDS = {
@@ -733,6 +735,20 @@ def test_logarithms_and_matrices_agree_with_scipy(key):
     p, q = manifold.from_matrices(matrices[:2])
     squared = float(manifold.squared_distance(p, q))
     assert squared == pytest.approx(np.sum(difference**2))
+
+
+def test_matrices_in_place_of_logarithms_raise_doubts():
+    spd = SymmetricPositiveDefinite(2)
+    matrices = np.array([[[2e-3, 1e-4], [1e-4, 1e-3]], [[1e-3, 0.0], [0.0, 5e-4]]])
+    logarithms = np.asarray(spd.from_matrices(matrices))
+    assert "from_matrices" in (doubt(spd, matrices) or "")
+    assert doubt(spd, logarithms) is None
+    assert doubt(SymmetricPositiveDefinite(1), np.ones((3, 1, 1))) is None
+    pair = Product(Sphere(2), spd)
+    joined = lambda m: np.hstack([np.eye(3)[:2], m.reshape(2, 4)])
+    assert (doubt(pair, joined(matrices)) or "").startswith("factor 1: all 2 points")
+    assert doubt(pair, joined(logarithms)) is None
+    assert doubt(Sphere(2), np.eye(3)) is None
 
 
 @pytest.mark.parametrize("condition", [1e3, 1e6, 1e12])
