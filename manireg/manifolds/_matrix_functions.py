@@ -200,7 +200,7 @@ def closest_rotation(p: Float[Array, "..."]) -> Float[Array, "..."]:
 
 
 @jax.custom_jvp
-def _rotation(p):
+def _rotation(p) -> tuple[Array, Eigen | None]:
     if p.shape[-1] == 3:
         return _foam(p), None
     return _rotation_by_svd(p)
