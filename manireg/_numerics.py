@@ -4,13 +4,17 @@ Every distance of the library goes through `squared_angle`, a function of the sq
 chord: it has finite derivatives of all orders at coincidence, where `arccos` has none.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 _SERIES_LIMIT = 0.5  # below this squared chord the power series is exact to rounding
 _MAX_ANGLE = np.pi - 0.05  # beyond it the squared angle continues linearly in q
 _MAX_CHORD2 = 2.0 - 2.0 * np.cos(_MAX_ANGLE)
+_NO_DIRECTION = 2e-15  # a sine that is only rounding
+_TINY = 1e-140  # with a square that is not 0
+RIGHT_ANGLE = 2.0  # as a squared chord
 
 
 def _squared_angle_series(terms: int) -> list[float]:
@@ -51,13 +55,47 @@ def squared_angle(q: Float[Array, "..."]) -> Float[Array, "..."]:
 
 def angle_over_sine(q: Float[Array, "..."]) -> Float[Array, "..."]:
     r"""$G(q) = F'(q) = \theta / \sin\theta$ for the squared chord q (see
-    `squared_angle`); constant beyond $\theta = \pi - 0.05$."""
+    `squared_angle`), for angles up to a right one; constant beyond."""
     small = q < _SERIES_LIMIT
     near = jnp.where(small, q, 0.0)
-    far = jnp.clip(jnp.where(small, 1.0, q), max=_MAX_CHORD2)
+    far = jnp.clip(jnp.where(small, 1.0, q), max=RIGHT_ANGLE)
     angle = 2.0 * jnp.arcsin(jnp.sqrt(far) / 2.0)
     sine = jnp.sqrt(far * (1.0 - far / 4.0))
     return jnp.where(small, _horner(_G_SERIES, near), angle / sine)
+
+
+def sphere_log(
+    p: Float[Array, "..."], q: Float[Array, "..."], radius: Float[ArrayLike, "..."]
+) -> Float[Array, "..."]:
+    r"""Initial velocity at p of the great circle arc to q, on spheres of `radius`
+    (which broadcasts) about 0, over the last axis. To rounding up to and at the
+    antipode; from there all directions lead to p, and one of them is returned."""
+    gap = q - p
+    chord2 = norm_squared(gap)[..., None] / radius**2
+    near = chord2 < RIGHT_ANGLE
+    tangent = across(p, jnp.where(near, gap, q + p))  # the same: p has none
+    sine2 = norm_squared(tangent)[..., None] / radius**2
+    axis = jax.nn.one_hot(jnp.argmin(jnp.abs(p), axis=-1), p.shape[-1], dtype=p.dtype)
+    antipode = sine2 <= _NO_DIRECTION**2
+    direction = jnp.where(near | antipode, across(p, axis), tangent)
+    direction = direction / jnp.sqrt(norm_squared(direction))[..., None]
+    sine = jnp.sqrt(jnp.where(antipode, 1.0, sine2))
+    cosine = jnp.sum(p * q, axis=-1, keepdims=True) / radius**2
+    angle = jnp.arctan2(jnp.where(antipode, 0.0, sine), cosine)
+    far = radius * angle * direction
+    return jnp.where(near, angle_over_sine(chord2) * tangent, far)
+
+
+def across(p: Float[Array, "..."], v: Float[Array, "..."]) -> Float[Array, "..."]:
+    r"""$v - \langle p, v \rangle p / |p|^2$: the part of v orthogonal to p."""
+    along = jnp.sum(p * v, axis=-1, keepdims=True)
+    return v - along * p / jnp.sum(p * p, axis=-1, keepdims=True)
+
+
+def off_zero(p: Float[Array, "..."]) -> Float[Array, "..."]:
+    """p, but a point of the first axis where p = 0 and all directions are as good: p
+    plus what is lost in rounding elsewhere (cheaper than a case, in derivatives, too)."""
+    return p + _TINY * np.eye(1, p.shape[-1])[0]
 
 
 def cos_sinc(squared: Float[Array, "..."]) -> tuple[Array, Array]:

@@ -16,10 +16,12 @@ from scipy.spatial.transform import Rotation
 from manireg.manifolds import (
     Grassmann,
     PlanarShapes,
+    Product,
     SpecialOrthogonal,
     Sphere,
     Stiefel,
     SymmetricPositiveDefinite,
+    doubt,
 )
 
 MANIFOLDS = {
@@ -92,6 +94,17 @@ def skew(n, angles, seed=0):
     return q @ w @ q.T
 
 
+PLANE = np.linalg.qr(np.random.default_rng(3).normal(size=(5, 5))).Q
+
+
+def diagonal(*values):
+    return np.diag(np.array(values, float))
+
+
+def complex_diagonal(*values):
+    return np.stack([diagonal(*values), 0 * diagonal(*values)])
+
+
 # Projection
 
 
@@ -131,6 +144,58 @@ def test_closest_rotation_near_the_medial_axis():
         y = np.asarray(SpecialOrthogonal(3).project(jnp.asarray(p)))
         assert np.abs(y - expected).max() < 1e-14 / gap
         assert np.abs(y.T @ y - np.eye(3)).max() < 1e-12
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-12, 1e-9, 1e-6])
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_closest_rotation_of_a_reflection(n, gap):
+    """And next to one: many rotations are as close, and one of them is found."""
+    turn = np.linalg.qr(np.random.default_rng(n).normal(size=(2, n, n))).Q
+    turn[:, :, 0] *= np.linalg.det(turn)[:, None]
+    values = np.ones(n)
+    values[-1] = gap - 1.0
+    p = turn[0] @ np.diag(values) @ turn[1].T
+    y = np.asarray(SpecialOrthogonal(n).project(jnp.asarray(p)))
+    np.testing.assert_allclose(y.T @ y, np.eye(n), atol=1e-14)
+    assert np.linalg.det(y) == pytest.approx(1.0)
+    assert np.linalg.norm(y - p) == pytest.approx(2.0 - gap, abs=1e-13)
+
+
+@pytest.mark.parametrize(
+    "manifold, p, distance",
+    [
+        (SpecialOrthogonal(2), np.zeros((2, 2)), 2**0.5),
+        (SpecialOrthogonal(3), np.zeros((3, 3)), 3**0.5),
+        (SpecialOrthogonal(3), -2e5 * np.eye(3), np.sqrt(2 * 199_999**2 + 200_001**2)),
+        (SpecialOrthogonal(3), diagonal(1, 0, 0), 2**0.5),
+        (SpecialOrthogonal(3), diagonal(3, 0.5, -0.5), np.sqrt(4 + 0.5 + 2.0)),
+        (SpecialOrthogonal(4), diagonal(1, 1, 0, 0), 2**0.5),
+        (Stiefel(4, 2), np.zeros((4, 2)), 2**0.5),
+        (Stiefel(4, 2), np.eye(4, 2) * np.array([1.0, 0.0]), 1.0),
+        (Grassmann(4, 2), np.eye(4), 2**0.5),
+        (Grassmann(3, 1), diagonal(1, 1, 0), 1.0),
+        (PlanarShapes(4), np.zeros((2, 3, 3)), 1.0),
+        (PlanarShapes(4), complex_diagonal(2, 2, 1), 6**0.5),
+    ],
+)
+def test_projections_of_the_medial_axis(manifold, p, distance):
+    """Nearest of several: on N, at the least distance, not a NaN."""
+    y = call(manifold, "project", jnp.asarray(p))
+    np.testing.assert_allclose(call(manifold, "project", y), y, atol=1e-13)
+    assert np.linalg.norm(np.ravel(y - p)) == pytest.approx(distance, rel=1e-13)
+    if isinstance(manifold, SpecialOrthogonal):
+        assert np.linalg.det(np.asarray(y)) == pytest.approx(1.0)
+    v = call(manifold, "tangent_projection", jnp.asarray(p), jnp.ones_like(y))
+    assert jnp.all(jnp.isfinite(v))
+
+
+def test_one_reflection_leaves_the_others_alone(key):
+    """The batch with one has the values of the batch without."""
+    p = jax.random.normal(key, (6, 3, 3))
+    alone = call(SpecialOrthogonal(3), "project", p)
+    among = call(SpecialOrthogonal(3), "project", p.at[2].set(-jnp.eye(3)))
+    others = np.delete(np.arange(6), 2)
+    np.testing.assert_array_equal(among[others], alone[others])
 
 
 def test_closest_frame_is_the_polar_factor_of_scipy():
@@ -320,7 +385,7 @@ def test_rotation_log_agrees_with_scipy_up_to_pi():
     manifold = SpecialOrthogonal(3)
     axis = np.random.default_rng(0).normal(size=(50, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    for angle in (1e-9, 1e-3, 1.0, np.pi - 0.1):
+    for angle in (1e-9, 1e-3, 1.0, 1.58, np.pi - 0.1, np.pi - 1e-3, np.pi - 1e-9):
         q = Rotation.from_rotvec(angle * axis).as_matrix()
         w = np.asarray(manifold.log(jnp.eye(3), jnp.asarray(q)))
         vector = np.stack([w[:, 2, 1], w[:, 0, 2], w[:, 1, 0]], axis=1)
@@ -345,6 +410,71 @@ def test_exp_and_log_of_larger_rotations_agree_with_scipy(n, angles):
 def test_exp_says_so_when_a_rotation_is_too_long():
     w = jnp.asarray(skew(4, (1e3, 0.0)))
     assert jnp.all(jnp.isnan(SpecialOrthogonal(4).exp(jnp.eye(4), w)))
+
+
+CUTS = {  # points p, q of the cut locus of each other, and their distance over pi sqrt(2)
+    "SO(2)": (SpecialOrthogonal(2), np.eye(2), -np.eye(2), 1.0),
+    "SO(3), x": (SpecialOrthogonal(3), np.eye(3), diagonal(1, -1, -1), 1.0),
+    "SO(3), z": (SpecialOrthogonal(3), diagonal(-1, 1, -1), diagonal(1, 1, 1), 1.0),
+    "SO(3)": (
+        SpecialOrthogonal(3),
+        Rotation.from_rotvec([0.3, 0.4, -2.0]).as_matrix(),
+        Rotation.from_rotvec([0.3, 0.4, -2.0]).as_matrix()
+        @ Rotation.from_rotvec(np.pi / 3 * np.array([1, -2, 2])).as_matrix(),
+        1.0,
+    ),
+    "SO(4), one plane": (SpecialOrthogonal(4), np.eye(4), diagonal(1, -1, 1, -1), 1.0),
+    "SO(4), all": (SpecialOrthogonal(4), np.eye(4), -np.eye(4), 2**0.5),
+    "SO(5)": (
+        SpecialOrthogonal(5),
+        np.eye(5),
+        PLANE @ diagonal(-1, 1, -1, -1, -1) @ PLANE.T,
+        2**0.5,
+    ),
+    "Gr(3,1)": (Grassmann(3, 1), diagonal(1, 0, 0), diagonal(0, 0, 1), 0.5),
+    "Gr(3,2)": (Grassmann(3, 2), diagonal(1, 1, 0), diagonal(0, 1, 1), 0.5),
+    "Gr(4,2)": (Grassmann(4, 2), diagonal(1, 1, 0, 0), diagonal(0, 0, 1, 1), 0.5**0.5),
+    "Gr(5,2)": (
+        Grassmann(5, 2),
+        PLANE[:, :2] @ PLANE[:, :2].T,
+        PLANE[:, 1:3] @ PLANE[:, 1:3].T,
+        0.5,
+    ),
+    "shapes(4)": (
+        PlanarShapes(4),
+        complex_diagonal(1, 0, 0),
+        complex_diagonal(0, 0, 1),
+        0.5,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CUTS)
+def test_logarithms_at_the_cut_locus(name):
+    """A geodesic of the right length whose end is q, also under jit and vmap."""
+    manifold, p, q, length = CUTS[name]
+    p, q = jnp.asarray(p), jnp.asarray(q)
+    batched = jax.jit(jax.vmap(lambda p, q: manifold.log(p, q)))
+    for v in (manifold.log(p, q), batched(p[None], q[None])[0]):
+        assert float(jnp.sqrt(jnp.sum(v**2))) == pytest.approx(
+            np.sqrt(2) * np.pi * length, rel=1e-12
+        )
+        np.testing.assert_allclose(call(manifold, "exp", p, v), q, atol=1e-13)
+        tangent_part = call(manifold, "tangent_projection", p, v)
+        np.testing.assert_allclose(tangent_part, v, atol=1e-13)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.999, 1 - 1e-6, 1 - 1e-10])
+@pytest.mark.parametrize("name", CUTS)
+def test_logarithms_up_to_the_cut_locus(name, share):
+    """Along the geodesic to a point of the cut locus."""
+    manifold, p, q, _ = CUTS[name]
+    v = share * call(manifold, "log", jnp.asarray(p), jnp.asarray(q))
+    q = call(manifold, "exp", jnp.asarray(p), v)
+    w = call(manifold, "log", jnp.asarray(p), q)
+    np.testing.assert_allclose(call(manifold, "exp", jnp.asarray(p), w), q, atol=1e-9)
+    length = float(jnp.sqrt(jnp.sum(v**2)))
+    assert float(jnp.sqrt(jnp.sum(w**2))) == pytest.approx(length, abs=1e-8)
 
 
 # Distances
@@ -548,7 +678,50 @@ def test_landmarks_follow_their_shape_smoothly(key):
     assert float(jnp.sum(velocity**2)) == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("offset", [0.0, 1e7])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda x: x.astype(int),
+        lambda x: x.astype(np.uint16),
+        lambda x: x.astype(np.float32),
+        lambda x: x.astype(object),
+        lambda x: [list(map(list, shape)) for shape in x],
+        lambda x: np.ma.masked_array(x, mask=False),
+        lambda x: jnp.asarray(x),
+    ],
+    ids=["int", "uint16", "float32", "object", "lists", "masked", "jax"],
+)
+def test_landmarks_in_numbers_of_any_kind(make, offset):
+    """Pixels, and pixels of a large picture."""
+    pixels = np.array([[[120, 40], [300, 55], [210, 260]]] * 2, float)
+    pixels[1, 2] = [97, 3]
+    z = pixels[..., 0] + 1j * pixels[..., 1]
+    z = z - z.mean(axis=1, keepdims=True)
+    helmert = np.array([[-1, 1, 0], [-1, -1, 2]]) / np.sqrt([[2], [6]])
+    z = z @ helmert.T
+    outer = z[:, :, None] * z[:, None].conj() / np.sum(abs(z) ** 2, 1)[:, None, None]
+    shapes = PlanarShapes(3)
+    p = shapes.from_landmarks(make(pixels))
+    assert p.dtype == jnp.float64
+    np.testing.assert_allclose(p[:, 0] + 1j * p[:, 1], outer, atol=1e-14)
+    moved = shapes.from_landmarks(pixels + offset)
+    np.testing.assert_allclose(moved, p, atol=1e-14)
+    fitted = shapes.to_landmarks(p, make(pixels))
+    np.testing.assert_allclose(shapes.from_landmarks(fitted), p, atol=1e-14)
+
+
 # Positive definite matrices
+
+
+def test_matrices_in_numbers_of_any_kind():
+    manifold = SymmetricPositiveDefinite(2)
+    matrices = np.array([[[2, 1], [1, 2]], [[5, 0], [0, 1]]])
+    expected = np.stack([logm(m) for m in matrices])
+    for given in (matrices, matrices.tolist(), matrices.astype(np.float32)):
+        p = manifold.from_matrices(given)
+        assert p.dtype == jnp.float64
+        np.testing.assert_allclose(p, expected, atol=1e-14)
 
 
 def test_logarithms_and_matrices_agree_with_scipy(key):
@@ -562,6 +735,20 @@ def test_logarithms_and_matrices_agree_with_scipy(key):
     p, q = manifold.from_matrices(matrices[:2])
     squared = float(manifold.squared_distance(p, q))
     assert squared == pytest.approx(np.sum(difference**2))
+
+
+def test_matrices_in_place_of_logarithms_raise_doubts():
+    spd = SymmetricPositiveDefinite(2)
+    matrices = np.array([[[2e-3, 1e-4], [1e-4, 1e-3]], [[1e-3, 0.0], [0.0, 5e-4]]])
+    logarithms = np.asarray(spd.from_matrices(matrices))
+    assert "from_matrices" in (doubt(spd, matrices) or "")
+    assert doubt(spd, logarithms) is None
+    assert doubt(SymmetricPositiveDefinite(1), np.ones((3, 1, 1))) is None
+    pair = Product(Sphere(2), spd)
+    joined = lambda m: np.hstack([np.eye(3)[:2], m.reshape(2, 4)])
+    assert (doubt(pair, joined(matrices)) or "").startswith("factor 1: all 2 points")
+    assert doubt(pair, joined(logarithms)) is None
+    assert doubt(Sphere(2), np.eye(3)) is None
 
 
 @pytest.mark.parametrize("condition", [1e3, 1e6, 1e12])
@@ -606,6 +793,30 @@ def test_derivatives_of_the_logarithm_at_repeated_eigenvalues(values, key):
         (lambda: SymmetricPositiveDefinite(0), "`n` must be at least 1, found 0"),
         (lambda: PlanarShapes(3).from_landmarks(np.zeros((3, 3))), r"\(3, 3\)"),
         (lambda: PlanarShapes(3).from_landmarks(np.ones((3, 2))), "coincide"),
+        (
+            lambda: PlanarShapes(3).from_landmarks(
+                np.stack([np.eye(3, 2), np.full((3, 2), 5e5 + 0.1)])
+            ),
+            "1 of 2 .*index 1",
+        ),
+        (
+            lambda: PlanarShapes(3).from_landmarks(
+                np.ma.masked_equal(np.arange(12.0).reshape(2, 3, 2), 8.0)
+            ),
+            "`landmarks`.* masked .*index 1",
+        ),
+        (
+            lambda: SymmetricPositiveDefinite(2).from_matrices(
+                np.ma.masked_equal(np.stack([np.eye(2), 9 * np.eye(2)]), 9.0)
+            ),
+            "`matrices`.* masked .*index 1",
+        ),
+        (
+            lambda: SymmetricPositiveDefinite(2).from_matrices(
+                np.stack([np.eye(2), np.zeros((2, 2))])
+            ),
+            "1 of 2 .*index 1",
+        ),
         (
             lambda: SymmetricPositiveDefinite(2).from_matrices(np.diag([1.0, -0.5])),
             "eigenvalue -0.5",

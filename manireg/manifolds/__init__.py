@@ -1,5 +1,6 @@
 from ._base import AbstractManifold as AbstractManifold
 from ._cylinder import Cylinder as Cylinder
+from ._doubts import doubt as doubt
 from ._ellipsoid import Ellipsoid as Ellipsoid
 from ._euclidean import Euclidean as Euclidean
 from ._flat_torus import FlatTorus as FlatTorus

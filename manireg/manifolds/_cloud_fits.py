@@ -5,10 +5,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import KDTree
 
+from .._numbers import as_numbers
+
 HUB = 50  # neighbours of a vertex through which no ring goes on
 EQUAL = 1e-6  # distances that differ by a smaller share are equal: the lower index wins
-
-from .._numbers import as_numbers
 
 
 def checked_points(points, normals, distinct: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
-from .._numerics import angle_over_sine, cos_sinc, norm_squared, squared_angle
+from .._numerics import (
+    across,
+    cos_sinc,
+    norm_squared,
+    off_zero,
+    sphere_log,
+    squared_angle,
+)
 from ._base import AbstractManifold
 
 
@@ -41,8 +48,9 @@ class Cylinder(AbstractManifold):
         return np.pi * self.radius
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""$(r x/\rho, r y/\rho, z)$, $\rho^2 = x^2 + y^2$; NaN on the axis."""
-        plane, z = p[..., :2], p[..., 2:]
+        r"""$(r x/\rho, r y/\rho, z)$, $\rho^2 = x^2 + y^2$; on the axis, where a whole
+        circle is as close, $(r, 0, z)$, without derivatives in x and y."""
+        plane, z = off_zero(p[..., :2]), p[..., 2:]
         rho = jnp.linalg.norm(plane, axis=-1, keepdims=True)
         return jnp.concatenate([self.radius * plane / rho, z], axis=-1)
 
@@ -50,9 +58,7 @@ class Cylinder(AbstractManifold):
         self, p: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$v - (v_x x + v_y y)(x, y, 0)/\rho^2$."""
-        radial = p * _PLANE
-        along = jnp.sum(radial * v, axis=-1, keepdims=True)
-        return v - along * radial / jnp.sum(radial**2, axis=-1, keepdims=True)
+        return across(off_zero(p * _PLANE), v)
 
     def second_fundamental_form(
         self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
@@ -80,10 +86,10 @@ class Cylinder(AbstractManifold):
     def log(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        r"""$\frac{\theta}{\sin\theta} P_p q$ in (x, y) and $z_q - z_p$."""
-        chord2 = norm_squared((p - q) * _PLANE)[..., None] / self.radius**2
-        circle = angle_over_sine(chord2) * self.tangent_projection(p, q)
-        return circle * _PLANE + (q - p) * (1.0 - _PLANE)
+        r"""$\frac{\theta}{\sin\theta} P_p q$ in (x, y) and $z_q - z_p$, to rounding
+        for all p, q. Where q is opposite (the cut locus), one of the two ways round."""
+        circle = sphere_log(p[..., :2], q[..., :2], self.radius)
+        return jnp.concatenate([circle, (q - p)[..., 2:]], axis=-1)
 
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Uniform around the axis, standard normal along it."""

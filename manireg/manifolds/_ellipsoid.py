@@ -53,9 +53,10 @@ class Ellipsoid(AbstractManifold):
         return np.pi * self.reach
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""$y_i = a_i^2 p_i / (a_i^2 + t)$, t the largest root of the secular equation
-        $\sum_i (a_i p_i / (a_i^2 + t))^2 = 1$; unreliable on the medial axis, a piece
-        of the hyperplane of the smallest axis."""
+        r"""$y_i = a_i^2 p_i / (a_i^2 - a_{\min}^2 + t)$, t the largest root of the secular
+        equation $\sum_i (a_i p_i / (a_i^2 - a_{\min}^2 + t))^2 = 1$. On the medial axis,
+        a piece of the plane $p_{\min} = 0$, it is the point with $y_{\min} > 0$, without
+        derivatives."""
         return _project(self, p)
 
     def tangent_projection(
@@ -104,14 +105,24 @@ def _project(ellipsoid: Ellipsoid, p: Array) -> Array:
     axes = ellipsoid.axes
 
     def project(p):
+        p = p + _TINY * axes  # off the medial axis
         t = implicit_solution(_largest_root, _secular, axes, p)
-        return axes**2 * p / (axes**2 + t)
+        return axes**2 * p / (_excess(axes) + t)
 
     return broadcast_points(project, axes.shape)(p)
 
 
+_TINY = 1e-100  # lost in rounding beside what is not 0
+
+
+def _excess(axes: Array) -> Array:
+    """$a_i^2 - a_{\\min}^2$."""
+    least = jnp.min(axes)
+    return (axes - least) * (axes + least)
+
+
 def _secular(t: Array, axes: Array, p: Array) -> Array:
-    return jnp.sum((axes * p / (axes**2 + t)) ** 2, keepdims=True) - 1.0
+    return jnp.sum((axes * p / (_excess(axes) + t)) ** 2, keepdims=True) - 1.0
 
 
 def _largest_root(axes: Array, p: Array) -> Array:
@@ -125,8 +136,7 @@ def _largest_root(axes: Array, p: Array) -> Array:
 
     def moving(state):
         t, moved, count = state
-        return (moved > 1e-16 * (scale + jnp.max(jnp.abs(t)))) & (count < 60)
+        return (moved > 2e-16 * jnp.max(t)) & (count < 60)
 
-    scale = jnp.min(axes) ** 2
-    start = jnp.max(axes * jnp.abs(p) - axes**2, keepdims=True)
+    start = jnp.max(axes * jnp.abs(p) - _excess(axes), keepdims=True)
     return jax.lax.while_loop(moving, move, (start, jnp.array(jnp.inf), 0))[0]

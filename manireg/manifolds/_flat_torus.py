@@ -6,7 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
-from .._numerics import angle_over_sine, cos_sinc, norm_squared, squared_angle
+from .._numerics import (
+    across,
+    cos_sinc,
+    norm_squared,
+    off_zero,
+    sphere_log,
+    squared_angle,
+)
 from ._base import AbstractManifold
 
 
@@ -52,8 +59,10 @@ class FlatTorus(AbstractManifold):
         return p.reshape(*p.shape[:-1], self.dim, 2), radii[:, None]
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""$r_i p_i / |p_i|$ on each circle; NaN where some $p_i = 0$."""
+        r"""$r_i p_i / |p_i|$ on each circle; where $p_i = 0$ and the whole circle is as
+        close, $(r_i, 0)$, without derivatives."""
         x, radii = self._circles(p)
+        x = off_zero(x)
         y = radii * x / jnp.linalg.norm(x, axis=-1, keepdims=True)
         return y.reshape(p.shape)
 
@@ -63,9 +72,7 @@ class FlatTorus(AbstractManifold):
         r"""$v_i - \langle p_i, v_i \rangle p_i / |p_i|^2$."""
         p, v = jnp.broadcast_arrays(p, v)
         (x, _), (w, _) = self._circles(p), self._circles(v)
-        along = jnp.sum(x * w, axis=-1, keepdims=True)
-        w = w - along * x / jnp.sum(x * x, axis=-1, keepdims=True)
-        return w.reshape(v.shape)
+        return across(off_zero(x), w).reshape(v.shape)
 
     def second_fundamental_form(
         self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
@@ -96,11 +103,11 @@ class FlatTorus(AbstractManifold):
     def log(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        r"""$\frac{\theta_i}{\sin\theta_i} P_{p_i} q_i$ on each circle."""
-        gap, radii = self._circles(p - q)
-        ratio = angle_over_sine(norm_squared(gap)[..., None] / radii**2)
-        tangent, _ = self._circles(self.tangent_projection(p, q))
-        return (ratio * tangent).reshape(gap.shape[:-2] + self.point_shape)
+        r"""$\frac{\theta_i}{\sin\theta_i} P_{p_i} q_i$ on each circle, to rounding for
+        all p, q. Where $q_i$ is opposite (the cut locus), one of the two ways round."""
+        p, q = jnp.broadcast_arrays(p, q)
+        (x, radii), (y, _) = self._circles(p), self._circles(q)
+        return sphere_log(x, y, radii).reshape(p.shape)
 
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Uniform."""

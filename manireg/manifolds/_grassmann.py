@@ -1,20 +1,28 @@
 """Subspaces of R^n as orthogonal projectors."""
 
+import functools
 import math
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from .._numerics import angle_over_sine, norm_squared, squared_angle
+from .._numerics import norm_squared, squared_angle
 from ._base import AbstractManifold
-from ._matrix_exponentials import rotation_exp, rotation_log, squared_rotation_distance
+from ._lapack import eigh, svd
+from ._matrix_exponentials import (
+    log_by_halves,
+    rotation_exp,
+    squared_rotation_distance,
+)
 from ._matrix_functions import (
     identity_like,
     off_diagonal,
     symmetric_part,
     top_eigenprojector,
 )
+from ._rank_one import line_log
 
 
 class Grassmann(AbstractManifold):
@@ -56,8 +64,8 @@ class Grassmann(AbstractManifold):
         return math.sqrt(0.5) * math.pi
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""Projector on the leading p eigenvectors of $(p + p^T)/2$; undefined where
-        $\lambda_p = \lambda_{p+1}$."""
+        r"""Projector on the leading p eigenvectors of $(p + p^T)/2$; one of several,
+        without derivatives, where $\lambda_p = \lambda_{p+1}$."""
         return top_eigenprojector(symmetric_part(p), self.p)
 
     def tangent_projection(
@@ -95,17 +103,44 @@ class Grassmann(AbstractManifold):
     def log(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        r"""$[W, P]$ with $W = \frac12 \log((I - 2Q)(I - 2P))$. With one principal angle
-        it is $\frac{2\theta}{\sin 2\theta}$ times the tangent projection of q."""
-        if self._has_one_angle:
-            factor = angle_over_sine(2 * norm_squared(p - q, 2))
-            return factor[..., None, None] * self.tangent_projection(p, q)
-        wp = rotation_log(_reflection(q) @ _reflection(p)) @ p / 2
-        return wp + wp.mT
+        r"""$\sum_i \theta_i (u_i y_i^T + y_i u_i^T)$ with the principal angles
+        $\theta_i$ and vectors $y_i$, $z_i = \cos\theta_i\, y_i + \sin\theta_i\, u_i$,
+        to rounding for all p, q. Where an angle is $\pi/2$ (the cut locus) it is one of
+        the geodesics."""
+        if self.p == 1:
+            return line_log(p, q)
+        if self.p == self.n - 1:  # the line that is left over
+            one = identity_like(p)
+            return -line_log(one - p, one - q)
+        return _log(p, q, self.p)
 
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Uniform: projections of Gaussian symmetric matrices."""
         return self.project(jax.random.normal(key, (n, self.n, self.n)))
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _log(p, q, rank):
+    y, z = (eigh(x)[1][..., -rank:] for x in jnp.broadcast_arrays(p, q))
+    left, cosines, right = svd(y.mT @ z)
+    y, z = y @ left, z @ right.mT
+    across = z - y * cosines[..., None, :]
+    sines = jnp.sqrt(jnp.sum(across**2, axis=-2))
+    angles = jnp.arctan2(sines, cosines)
+    half = (across * (angles / jnp.where(sines > 0.0, sines, 1.0))[..., None, :]) @ y.mT
+    return half + half.mT
+
+
+@_log.defjvp
+def _log_jvp(rank, primals, tangents):
+    r"""From $[W, P]$ with $W = \frac12 \log((I - 2Q)(I - 2P))$: it is smooth where
+    principal angles coincide, which their vectors are not."""
+
+    def smooth(p, q):
+        wp = log_by_halves(_reflection(q) @ _reflection(p)) @ p / 2
+        return wp + wp.mT
+
+    return _log(*primals, rank), jax.jvp(smooth, primals, tangents)[1]
 
 
 def _reflection(p: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -104,7 +104,8 @@ class LevelSet(AbstractManifold):
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
         r"""The closest point y with its multiplier $\mu$: $y - p + DF(y)^T \mu = 0$,
         $F(y) = 0$. Newton's method for the distance along N, restoring F = 0 after each
-        step, from the point to which Gauss-Newton steps for F = 0 carry p."""
+        step, from the point to which Gauss-Newton steps for F = 0 carry p. NaN where these
+        meet a singular DF (the centre of a sphere); on the medial axis no promise."""
         return _project(self, p)
 
     def tangent_projection(

@@ -4,11 +4,19 @@ import math
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from .._numerics import angle_over_sine, cos_sinc, norm_squared, squared_angle
+from .._numerics import (
+    RIGHT_ANGLE,
+    angle_over_sine,
+    cos_sinc,
+    norm_squared,
+    squared_angle,
+)
 from ._lapack import eigh
 from ._matrix_functions import (
+    Eigen,
     adjoint,
     closest_rotation,
     identity_like,
@@ -16,6 +24,7 @@ from ._matrix_functions import (
     skew_part,
     symmetric_part,
 )
+from ._rank_one import leading_vector
 
 _SQUARINGS = 6
 _EXP_SERIES = [1 / math.factorial(k) for k in range(17)]
@@ -51,17 +60,62 @@ _HALVINGS = 3
 
 
 def rotation_log(q: Float[Array, "..."]) -> Float[Array, "..."]:
-    r"""Skew logarithm of a rotation. n = 2, 3: $\frac{\theta}{\sin\theta} (q - q^T)/2$.
-    n > 3: three square roots $\sqrt q = \mathrm{polar}(I + q)$, then $2\,
-    \mathrm{artanh}$ of the Cayley transform $(q + I)^{-1}(q - I)$ as a power series.
+    r"""Skew logarithm of a rotation, with angles of at most $\pi$, to rounding for all
+    rotations of n = 2, 3. Where an angle is $\pi$, one of several.
 
-    The derivatives are those of `closest_rotation`: finite for all angles below $\pi$.
+    n = 2: $\mathrm{atan2}(\sin\theta, \cos\theta)$. n = 3: $\frac{\theta}{\sin\theta}
+    (q - q^T)/2$ up to a right angle; beyond, the axis a is read from the symmetric part
+    $\cos\theta\, I + (1 - \cos\theta) aa^T$. n > 3: `_log_of_large`, next to a half turn
+    mended by one step of Newton's method.
     """
+    if q.shape[-1] > 3:
+        return _log_of_large(q)
+    trace = jnp.trace(q, axis1=-2, axis2=-1)[..., None, None]
+    if q.shape[-1] == 2:
+        sine2 = q[..., 1:, :1] - q[..., :1, 1:]
+        return jnp.arctan2(sine2, trace) * _QUARTER_TURN
+    chord2 = norm_squared(q - identity_like(q), 2)[..., None, None] / 2
+    near = chord2 < RIGHT_ANGLE
+    cosine = (trace - 1.0) / 2
+    rank_one = jnp.where(near, 1.0, symmetric_part(q) - cosine * identity_like(q))
+    axis = leading_vector(rank_one)
+    turn = jnp.tensordot(axis, _CROSS, 1)  # about the axis, by the angle 1
+    sine = jnp.sum(turn * q, axis=(-2, -1))[..., None, None] / 2
+    angle = jnp.arctan2(sine, jnp.where(near, 1.0, cosine))
+    return jnp.where(near, angle_over_sine(chord2) * skew_part(q), angle * turn)
+
+
+_QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)  # [k] v = e_k x v
+
+
+def _log_of_large(q: Float[Array, "..."]) -> Float[Array, "..."]:
+    """`log_by_halves`, to 1e-8 also where q is next to half turns: there it turns the
+    planes of the eigenvectors of q + q^T in a direction that q leaves open, a little, and
+    takes off again what that was too much."""
+    values, vectors = eigh(jax.lax.stop_gradient(symmetric_part(q)))
+    pairs = vectors[..., : q.shape[-1] // 2 * 2]
+    first, second = pairs[..., ::2], pairs[..., 1::2]
+    planes = second @ adjoint(first) - first @ adjoint(second)
+    half_turn = values[..., :1, None] < _HALF_TURN
+    w = log_by_halves(q, jnp.where(half_turn, _NUDGE * planes, 0.0))
+    excess = skew_part(adjoint(rotation_exp(w)) @ q)
+    return w + jnp.where(half_turn, excess, 0.0)
+
+
+_NUDGE = 1e-8
+_HALF_TURN = -1.0 + 1e-12  # as a cosine
+
+
+def log_by_halves(
+    q: Float[Array, "..."], nudge: Float[Array, "..."] | float = 0.0
+) -> Float[Array, "..."]:
+    r"""Three square roots $\sqrt q = \mathrm{polar}(I + q)$, then $2\, \mathrm{artanh}$
+    of the Cayley transform $(q + I)^{-1}(q - I)$ as a power series. The derivatives are
+    those of `closest_rotation`: finite for all angles below $\pi$."""
     one = identity_like(q)
-    if q.shape[-1] <= 3:
-        chord2 = norm_squared(q - one, 2)[..., None, None] / 2
-        return angle_over_sine(chord2) * skew_part(q)
-    for _ in range(_HALVINGS):
+    q = closest_rotation(one + q + nudge)
+    for _ in range(_HALVINGS - 1):
         q = closest_rotation(one + q)
     k = skew_part(jnp.linalg.solve(one + q, q - one))
     negative_square = adjoint(k) @ k
@@ -78,20 +132,23 @@ def squared_rotation_distance(
     is $2 F(|p - q|_F^2 / 2)$."""
     if p.shape[-1] <= 3:
         return 2 * squared_angle(norm_squared(p - q, 2) / 2)
-    return norm_squared(rotation_log(adjoint(p) @ q), 2)
+    return norm_squared(log_by_halves(adjoint(p) @ q), 2)
 
 
 @jax.custom_jvp
-def _square_root(s: Float[Array, "..."]) -> Float[Array, "..."]:
+def _square_root(s: Float[Array, "..."]) -> tuple[Float[Array, "..."], Eigen]:
+    """Of a positive definite matrix, with its eigenvalues and eigenvectors."""
     values, vectors = eigh(s)
-    return (vectors * jnp.sqrt(values)[..., None, :]) @ adjoint(vectors)
+    roots = jnp.sqrt(values)
+    return (vectors * roots[..., None, :]) @ adjoint(vectors), (roots, vectors)
 
 
 @_square_root.defjvp
 def _square_root_jvp(primals, tangents):
     (s,), (ds,) = primals, tangents
-    root = _square_root(s)
-    return root, lyapunov(root, ds)
+    root, eigen = _square_root(s)
+    constant = jax.tree.map(jnp.zeros_like, eigen)
+    return (root, eigen), (lyapunov(root, eigen, ds), constant)
 
 
 def symmetric_log(s: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -102,7 +159,7 @@ def symmetric_log(s: Float[Array, "..."]) -> Float[Array, "..."]:
     s = s / scale
     halvings = 6
     for _ in range(halvings):
-        s = _square_root(s)
+        s, _ = _square_root(s)
     k = symmetric_part(jnp.linalg.solve(one + s, s - one))
     square = k @ k
     total = abs(_ATAN_SERIES[-1]) * one

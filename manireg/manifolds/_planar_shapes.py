@@ -9,9 +9,11 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Complex, Float, PRNGKeyArray
 
-from .._numerics import angle_over_sine, cos_sinc, norm_squared, squared_angle
+from .._numerics import cos_sinc, norm_squared, squared_angle
 from ._base import AbstractManifold
-from ._matrix_functions import off_diagonal, symmetric_part, top_eigenprojector
+from ._intake import Numbers, as_array, first_index
+from ._matrix_functions import matmul, off_diagonal, symmetric_part, top_eigenprojector
+from ._rank_one import line_log
 
 
 class PlanarShapes(AbstractManifold):
@@ -51,28 +53,31 @@ class PlanarShapes(AbstractManifold):
     def injectivity_radius(self) -> float:
         return math.sqrt(0.5) * math.pi
 
-    def from_landmarks(
-        self, landmarks: Float[Array | np.ndarray, "..."]
-    ) -> Float[Array, "..."]:
-        """Shapes `(..., 2, k-1, k-1)` of landmarks `(..., k, 2)`.
+    def from_landmarks(self, landmarks: Numbers) -> Float[Array, "..."]:
+        """Shapes `(..., 2, k-1, k-1)` of landmarks `(..., k, 2)`: real numbers of any
+        kind, such as integer pixels.
 
-        **Raises:** ValueError for another shape, or (outside of `jit`) where all k
-        landmarks coincide.
+        **Raises:** ValueError for another shape, masked entries, or (outside of `jit`)
+        where all k landmarks coincide, or one is not finite.
         """
         z = self._helmert_coordinates(landmarks)
         size2 = norm_squared(z.real) + norm_squared(z.imag)
-        if not isinstance(size2, Tracer) and not np.all(size2 > 0):
-            raise ValueError(
-                "PlanarShapes: `landmarks` holds a configuration without a shape (all "
-                "landmarks coincide, or one is NaN); leave it out."
-            )
+        if not isinstance(size2, Tracer):
+            shapeless = np.asarray(~(size2 > 0) | ~jnp.isfinite(size2))
+            if shapeless.any():
+                raise ValueError(
+                    f"PlanarShapes: `landmarks` holds {shapeless.sum()} of "
+                    f"{shapeless.size} configurations without a shape (all landmarks "
+                    "coincide, or one is NaN or infinite; first at index "
+                    f"{first_index(shapeless)}); leave them out."
+                )
         z = z / jnp.sqrt(size2)[..., None].astype(z.dtype)
         return _as_real(z[..., :, None] * jnp.conj(z[..., None, :]))
 
     def to_landmarks(
         self,
         p: Float[Array, "..."],
-        reference: Float[Array | np.ndarray, "..."] | None = None,
+        reference: Numbers | None = None,
     ) -> Float[Array, "..."]:
         """Landmarks `(..., k, 2)` of shape `p`, centred and of unit size (the squared
         norms of the landmarks sum to 1).
@@ -90,22 +95,20 @@ class PlanarShapes(AbstractManifold):
         helmert = jnp.asarray(_helmert(self.k), p.dtype)
         return jnp.stack([z.real / size @ helmert, z.imag / size @ helmert], axis=-1)
 
-    def _helmert_coordinates(
-        self, landmarks: Float[Array | np.ndarray, "..."]
-    ) -> Complex[Array, "..."]:
-        landmarks = jnp.asarray(landmarks)
+    def _helmert_coordinates(self, landmarks: Numbers) -> Complex[Array, "..."]:
+        landmarks = as_array("PlanarShapes: `landmarks`", landmarks)
         if landmarks.shape[-2:] != (self.k, 2):
             raise ValueError(
                 f"PlanarShapes: landmarks must have shape (..., {self.k}, 2), found "
                 f"{landmarks.shape}."
             )
-        helmert = jnp.asarray(_helmert(self.k), landmarks.dtype)
-        xy = helmert @ landmarks
+        # from one of them: far from the origin the differences have more digits
+        xy = jnp.asarray(_helmert(self.k)) @ (landmarks - landmarks[..., :1, :])
         return jax.lax.complex(xy[..., 0], xy[..., 1])
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""Projector on the leading eigenvector of the Hermitian part of p; undefined
-        where $\lambda_1 = \lambda_2$."""
+        r"""Projector on the leading eigenvector of the Hermitian part of p; one of
+        several, without derivatives, where $\lambda_1 = \lambda_2$."""
         return _as_real(self._projector(p))
 
     def _projector(self, p: Float[Array, "..."]) -> Complex[Array, "..."]:
@@ -123,8 +126,8 @@ class PlanarShapes(AbstractManifold):
     ) -> Float[Array, "..."]:
         r"""$II_P(U, V) = (I - 2P)(UV + VU)$."""
         u, v = _as_complex(u), _as_complex(v)
-        both = u @ v + v @ u
-        return _as_real(both - 2 * (_as_complex(p) @ both))
+        both = matmul(u, v) + matmul(v, u)
+        return _as_real(both - 2 * matmul(_as_complex(p), both))
 
     def squared_distance(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
@@ -141,15 +144,15 @@ class PlanarShapes(AbstractManifold):
         cosine, sinc = cos_sinc(norm_squared(v, 3)[..., None, None, None] / 2)
         x = _as_complex(v)
         return cosine * (cosine * p + sinc * v) + sinc**2 * _as_real(
-            x @ _as_complex(p) @ x
+            matmul(matmul(x, _as_complex(p)), x)
         )
 
     def log(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        r"""$\frac{2\theta}{\sin 2\theta} P_p q$."""
-        factor = angle_over_sine(2 * norm_squared(p - q, 3))
-        return factor[..., None, None, None] * self.tangent_projection(p, q)
+        r"""$\frac{2\theta}{\sin 2\theta} P_p q$, to rounding for all p, q. For
+        $\theta = \pi/2$ (the cut locus) it is one of the geodesics."""
+        return _as_real(line_log(_as_complex(p), _as_complex(q)))
 
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Uniform: the shapes of independent Gaussian landmarks."""

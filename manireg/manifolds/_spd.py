@@ -8,6 +8,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from ._base import AbstractManifold
+from ._intake import Numbers, as_array, first_index
 from ._matrix_exponentials import symmetric_log
 from ._matrix_functions import symmetric_part
 
@@ -49,16 +50,14 @@ class SymmetricPositiveDefinite(AbstractManifold):
     def injectivity_radius(self) -> float:
         return float("inf")
 
-    def from_matrices(
-        self, matrices: Float[Array | np.ndarray, "..."]
-    ) -> Float[Array, "..."]:
+    def from_matrices(self, matrices: Numbers) -> Float[Array, "..."]:
         r"""Points $L = \log S$ of matrices S `(..., n, n)`. Derivatives of all orders
         are exact, also at repeated eigenvalues; condition numbers up to 1e12.
 
-        **Raises:** ValueError for another shape, or (outside of `jit`) for a matrix
-        that is not symmetric to 1e-6 or not positive definite.
+        **Raises:** ValueError for another shape, masked entries, or (outside of `jit`)
+        for a matrix that is not symmetric to 1e-6 or not positive definite.
         """
-        matrices = jnp.asarray(matrices)
+        matrices = as_array("SymmetricPositiveDefinite: `matrices`", matrices)
         if matrices.shape[-2:] != self.point_shape:
             raise ValueError(
                 f"SymmetricPositiveDefinite: matrices must have shape (..., {self.n}, "
@@ -112,16 +111,20 @@ class SymmetricPositiveDefinite(AbstractManifold):
 
 def _check_positive_definite(matrices: np.ndarray) -> None:
     size = np.max(np.abs(matrices), axis=(-2, -1), initial=0.0)
-    asymmetry = np.abs(matrices - np.swapaxes(matrices, -1, -2))
-    if not np.all(asymmetry <= 1e-6 * size[..., None, None]):
+    asymmetry = np.abs(matrices - np.swapaxes(matrices, -1, -2)).max((-2, -1))
+    askew = np.asarray(~(asymmetry <= 1e-6 * size))
+    if askew.any():
         raise ValueError(
-            "SymmetricPositiveDefinite: `matrices` holds a matrix that is not "
-            f"symmetric (largest asymmetry {np.max(asymmetry):.3g}); symmetrise."
+            f"SymmetricPositiveDefinite: `matrices` holds {askew.sum()} of {askew.size} "
+            f"matrices that are not symmetric (first at index {first_index(askew)}, "
+            f"largest asymmetry {np.max(asymmetry):.3g}); symmetrise."
         )
-    smallest = np.min(np.linalg.eigvalsh(matrices), initial=np.inf)
-    if not smallest > 0:
+    smallest = np.linalg.eigvalsh(matrices)[..., 0]
+    bad = np.asarray(~(smallest > 0))
+    if bad.any():
         raise ValueError(
-            "SymmetricPositiveDefinite: `matrices` holds a matrix with eigenvalue "
-            f"{smallest:.3g}; all eigenvalues must be positive (add a small multiple "
-            "of the identity, or leave the matrix out)."
+            f"SymmetricPositiveDefinite: `matrices` holds {bad.sum()} of {bad.size} "
+            f"matrices (first at index {first_index(bad)}) with an eigenvalue that is not "
+            f"positive, down to eigenvalue {smallest.min():.3g}; add a small multiple of "
+            "the identity, or leave the matrices out."
         )

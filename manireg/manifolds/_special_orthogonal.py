@@ -48,7 +48,8 @@ class SpecialOrthogonal(AbstractManifold):
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
         r"""Closest rotation $U \mathrm{diag}(1, \dots, 1, \det UV^T) V^T$ of
-        $p = U S V^T$; undefined where $s_{n-1} + \mathrm{sign}(\det p) s_n = 0$."""
+        $p = U S V^T$; one of several, without derivatives, where
+        $s_{n-1} + \mathrm{sign}(\det p) s_n = 0$ (as at reflections)."""
         return closest_rotation(p)
 
     def tangent_projection(
@@ -82,8 +83,9 @@ class SpecialOrthogonal(AbstractManifold):
     def log(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        r"""$p \log(p^T q)$, for rotation angles of $p^T q$ below $\pi$ (n = 2, 3: below
-        $\pi - 0.05$)."""
+        r"""$p \log(p^T q)$, to rounding for all p, q (n > 3: to 1e-8 where a rotation
+        angle of $p^T q$ is next to $\pi$). For half turns (the cut locus) it is one of
+        the geodesics."""
         return p @ rotation_log(adjoint(p) @ q)
 
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:

@@ -6,7 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
-from .._numerics import angle_over_sine, cos_sinc, norm_squared, squared_angle
+from .._numerics import (
+    across,
+    cos_sinc,
+    norm_squared,
+    off_zero,
+    sphere_log,
+    squared_angle,
+)
 from ._base import AbstractManifold
 
 
@@ -39,15 +46,16 @@ class Sphere(AbstractManifold):
         return np.pi * self.radius
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""$r p / |p|$; undefined (NaN) at the origin, the medial axis."""
+        r"""$r p / |p|$. At the origin, the medial axis, all points are as close: there
+        it is the one on the first axis, without derivatives."""
+        p = off_zero(p)
         return p * (self.radius / jnp.linalg.norm(p, axis=-1, keepdims=True))
 
     def tangent_projection(
         self, p: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$v - \langle p, v \rangle p / |p|^2$."""
-        along = jnp.sum(p * v, axis=-1, keepdims=True)
-        return v - along * p / jnp.sum(p * p, axis=-1, keepdims=True)
+        return across(off_zero(p), v)
 
     def second_fundamental_form(
         self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
@@ -72,9 +80,10 @@ class Sphere(AbstractManifold):
     def log(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        r"""$\frac{\theta}{\sin\theta} P_p q$ with $\theta = d(p, q)/r$."""
-        chord2 = norm_squared(p - q)[..., None] / self.radius**2
-        return angle_over_sine(chord2) * self.tangent_projection(p, q)
+        r"""$\frac{\theta}{\sin\theta} P_p q$ with $\theta = d(p, q)/r$, to rounding
+        for all p, q. For antipodes (the cut locus), where every direction leads to q,
+        it is one of them, of length $\pi r$."""
+        return sphere_log(p, q, self.radius)
 
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Uniform on the sphere."""

@@ -57,7 +57,8 @@ class Stiefel(AbstractManifold):
         return math.pi
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""Polar factor $p\,(p^T p)^{-1/2}$; undefined for rank-deficient p."""
+        r"""Polar factor $p\,(p^T p)^{-1/2}$; one of several, without derivatives, for
+        rank-deficient p."""
         return polar_factor(p)
 
     def tangent_projection(

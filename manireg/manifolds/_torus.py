@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
-from .._numerics import norm_squared
+from .._numerics import norm_squared, off_zero
 from ._base import AbstractManifold
 from ._generic import geodesic_exp
 from ._shooting import shooting_log
@@ -50,27 +50,33 @@ class Torus(AbstractManifold):
         inner equator (conjugate points are no closer than $\pi\sqrt{r(R + r)}$)."""
         return np.pi * self.reach
 
-    def _core(self, p: Array) -> tuple[Array, Array, Array]:
-        """Distance of p to the axis, the closest core point, and the unit normal."""
-        plane = p[..., :2]
-        rho = jnp.linalg.norm(plane, axis=-1, keepdims=True)
-        core = jnp.concatenate(
-            [self.R * plane / rho, jnp.zeros_like(p[..., 2:])], axis=-1
-        )
-        normal = p - core
-        return rho, core, normal / jnp.linalg.norm(normal, axis=-1, keepdims=True)
+    def _tube(self, p: Array) -> tuple[Array, Array, Array]:
+        r"""Distance of p to the axis, unit vector away from it $(.., 2)$, and
+        $(\cos\theta, \sin\theta)$."""
+        rho = jnp.linalg.norm(off_zero(p[..., :2]), axis=-1, keepdims=True)
+        away = off_zero(p[..., :2]) / rho
+        # measured across the core, so that the normal is one also where it is rounding
+        out = jnp.sum(p[..., :2] * away, axis=-1, keepdims=True) - self.R
+        turn = off_zero(jnp.concatenate([out, p[..., 2:]], axis=-1))
+        return rho, away, turn / jnp.linalg.norm(turn, axis=-1, keepdims=True)
+
+    def _normal(self, p: Array) -> Array:
+        _, away, turn = self._tube(p)
+        return jnp.concatenate([turn[..., :1] * away, turn[..., 1:]], axis=-1)
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""$c + r (p - c)/|p - c|$, c the closest point of the core; undefined (NaN) on
-        the core and on the axis."""
-        _, core, normal = self._core(p)
-        return core + self.r * normal
+        r"""$c + r (p - c)/|p - c|$, c the closest point of the core. On the core and on
+        the axis, where a whole circle is as close, it is the point farthest from the
+        axis and that of $\varphi = 0$, without derivatives across."""
+        _, away, turn = self._tube(p)
+        ring = (self.R + self.r * turn[..., :1]) * away
+        return jnp.concatenate([ring, self.r * turn[..., 1:]], axis=-1)
 
     def tangent_projection(
         self, p: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$v - \langle \nu, v \rangle \nu$, $\nu = (p - c)/|p - c|$."""
-        _, _, normal = self._core(p)
+        normal = self._normal(p)
         return v - jnp.sum(normal * v, axis=-1, keepdims=True) * normal
 
     def second_fundamental_form(
@@ -79,7 +85,8 @@ class Torus(AbstractManifold):
         r"""$-\big(\langle u, v \rangle / r + (\cos\theta/\rho - 1/r) u_\varphi
         v_\varphi\big) \nu$: principal curvatures $-1/r$ along the meridian and
         $-\cos\theta/\rho$ along the parallel, $\rho = R + r\cos\theta$."""
-        rho, _, normal = self._core(p)
+        rho = jnp.linalg.norm(p[..., :2], axis=-1, keepdims=True)
+        normal = self._normal(p)
         cosine = (rho - self.R) / self.r
         u_phi = (p[..., :1] * u[..., 1:2] - p[..., 1:2] * u[..., :1]) / rho
         v_phi = (p[..., :1] * v[..., 1:2] - p[..., 1:2] * v[..., :1]) / rho

@@ -17,9 +17,10 @@ def violations(
     unit: Array,
     reach: Array,
     injectivity_radius: Array,
+    log_up_to: Array,
 ) -> tuple[Array, ...]:
     """The size of the violation of each law, in their order in `_laws`, at each point p:
-    shape (k,)."""
+    shape (k,). `log_up_to`: share of the injectivity radius."""
     shape, axes = p.shape[1:], tuple(range(-(p.ndim - 1), 0))
     size = int(np.prod(shape))
     project, tangent = manifold.project, manifold.tangent_projection
@@ -64,7 +65,7 @@ def violations(
     swapped = unit * manifold.second_fundamental_form(p, v, u)
     turn = jax.jvp(lambda p: tangent(p, v), (p,), (unit * u,))[1]
 
-    # one geodesic, at the times 0 and 1
+    # one geodesic, at the times 0 and 1, and farther
     w = 0.5 * injectivity_radius * v
     times = expand(jnp.array([0.0, 1.0])[:, None] * jnp.ones(len(p)))
 
@@ -75,10 +76,15 @@ def violations(
         velocity, (times,), (jnp.ones_like(times),)
     )
     q = ends[1]
-    logs = manifold.log(jnp.stack([p, q, p]), jnp.stack([q, p, p]))
+    farther = 2 * jnp.stack([jnp.asarray(0.9), log_up_to])
+    far = manifold.exp(p, expand(farther[:, None] * jnp.ones(len(p))) * w)
+    logs = manifold.log(jnp.stack([p, q, p, p, p]), jnp.stack([q, p, p, *far]))
 
     # squared distances with derivatives in the second argument
-    d2 = manifold.squared_distance(jnp.stack([p, p, q]), jnp.stack([p, q, p]))
+    d2 = manifold.squared_distance(
+        jnp.stack([p, p, q, p, far[0]]), jnp.stack([p, q, p, far[0], p])
+    )
+    squares = inner(w, w) * farther[0] ** jnp.array([[0], [2]])
 
     def gradient(z):
         two = jnp.stack([p, p])
@@ -117,10 +123,15 @@ def violations(
         moved[2],
         worst(norm(speeds[0] - w), jnp.abs(norm(speeds[1]) - norm(w))) / unit,
         worst(*map(norm, pushed)) / unit,
-        worst(norm(logs[0] - w), norm(logs[2])) / unit,
+        worst(
+            norm(logs[0] - w),
+            norm(logs[2]),
+            *norm(logs[3:] - expand(farther[:, None]) * w),
+        )
+        / unit,
         jnp.abs(d2[0]) / unit**2,
-        jnp.abs(d2[1] - inner(w, w)) / unit**2,
-        jnp.abs(d2[1] - d2[2]) / unit**2,
+        worst(*jnp.abs(d2[jnp.array([1, 3])] - squares)) / unit**2,
+        worst(*jnp.abs(d2[1::2] - d2[2::2])) / unit**2,
         worst(norm(slope) / unit, norm(hessian - 2 * u)),
         norm(pull + 2 * logs[1]) / unit,
         worst(moved[3], jnp.where(norm(r[1:] - r[:1]) > 0, 0.0, jnp.inf)),
