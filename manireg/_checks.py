@@ -1,5 +1,7 @@
 """Bad input is named here, once, at the public boundary: what was found, what to do."""
 
+import warnings
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -15,11 +17,9 @@ from ._membership import (
 from ._numbers import Numbers, as_numbers, numbers_and_unit
 from ._shown import shown
 from ._sources import Ambient, Box, Interval, Source, sampled, sampled_dim
-from .manifolds import AbstractManifold, Euclidean, PointCloud
+from .manifolds import AbstractManifold, Euclidean, PointCloud, doubt
 
-LARGEST_DIM = (
-    3  # of a source: values are controlled by order p derivatives where 2p > m
-)
+LARGEST_DIM = 3  # of a source: derivatives of order p control values where 2p > m
 
 
 def check_points(name: str, space: Source | AbstractManifold, points, count=None):
@@ -89,6 +89,8 @@ def check_data(source: Source, target: AbstractManifold, x, y, weights):
             f"{source.dim} needs at least {least}."
         )
     y = projected(target, jnp.asarray(y).reshape(-1, *target.point_shape))
+    if text := doubt(target, np.asarray(y)):
+        warnings.warn(f"y: {text}", stacklevel=3)
     return jnp.asarray(x), y.reshape(len(x), -1), jnp.asarray(weights)
 
 

@@ -13,7 +13,8 @@ import optimistix as optx
 import trimesh
 from jaxtyping import ArrayLike, Float, Int, ScalarLike
 
-from ._checks import check_landmarks, check_x64
+from ._checks import check_landmarks
+from ._precision import check_x64
 from ._leave_one_out import RTOL, cut_errors, leave_one_out
 from ._orientation import check_orientation
 from ._problem import make_problem
