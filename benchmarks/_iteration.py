@@ -6,8 +6,9 @@ import numpy as np
 import sparsax
 from _timing import first_and_best
 
+from manireg._cholesky import SparseCholesky
 from manireg._hessian import gauss_newton
-from manireg._linear_solvers import SparseCholesky, direct_solvers
+from manireg._linear_solvers import direct_solvers
 from manireg._objective import Stage, objective
 
 

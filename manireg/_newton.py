@@ -6,13 +6,6 @@ they are assembled sparse; the exact one is also given the last model, `(y, args
 Far from the minimum a Gauss-Newton model, always positive definite, gives the direction;
 near it the exact Hessian, whose convergence is quadratic (measured on curves: 7..15 steps
 in place of 8..60).
-
-The objective is stiff: a step along a curve's slow bend leaves the valley floor by the
-square of its length, and the next step repairs that at once. A search that never lets the
-objective rise shortens such steps until nothing moves (measured on curves that go on
-beyond their data: 115 trials and more, now 14). So a full step that fails is taken all the
-same, and only if `patience` of them together fail, the search goes back to where they
-began and shortens: the watchdog of Chamberlain, Powell, Lemarechal and Pedersen (1982).
 """
 
 from collections.abc import Callable
@@ -24,6 +17,8 @@ import jax.numpy as jnp
 import jax.tree_util as jtu
 import optimistix as optx
 from jaxtyping import Array, Bool, Int, Scalar, ScalarLike
+
+from ._watchdog import Watchdog
 
 KICK = 1e-3  # of the size of y, off a saddle
 
@@ -43,35 +38,18 @@ class _Accepted(eqx.Module):
     done: Bool[Array, ""]
 
 
-class _Reference(eqx.Module):
-    """Where full steps that need not succeed began."""
-
-    y: Any
-    f: Scalar
-    goal: Scalar
-    """What the objective has to reach."""
-    steps: Int[Array, ""]
-    """Taken since."""
-
-
 class _NewtonState(eqx.Module):
-    # updated every trial
     y_eval: Any
-    length: Scalar
-    """Of the step to `y_eval`, as a share of the Newton step."""
-    forced: Bool[Array, ""]
-    """`y_eval` is no step but a start: accepted whatever the objective."""
-    shortened: Bool[Array, ""]
+    search: Watchdog
     num_trials: Int[Array, ""]
-    # updated after every accepted one
+    # updated after every accepted trial
     accepted: _Accepted
-    reference: _Reference
     num_accepted_steps: Int[Array, ""]
     result: optx.RESULTS
 
 
 class Newton(optx.AbstractMinimiser):
-    """Newton's method with backtracking (paper, section 4).
+    """Newton's method with a line search (paper, section 4).
 
     **Arguments:**
 
@@ -89,7 +67,7 @@ class Newton(optx.AbstractMinimiser):
     - `certify`: stop only where the exact Hessian is positive definite. A stationary point
       where it is not is left with a kick of `KICK` times the size of y.
     - `slope`: a step has to bring this share of what its slope promises.
-    - `patience`: full steps that may fail, in a row.
+    - `patience`: full steps that may fail, in a row (see `Watchdog`).
     - `longest`: the model overestimates the curvature where the residuals curve back. A
       step along the model's direction is stretched by the model's curvature over the
       objective's, seen along the last step, from 1 to at most `longest` (measured on
@@ -121,9 +99,7 @@ class Newton(optx.AbstractMinimiser):
         zero, false = jnp.zeros((), f_struct.dtype), jnp.array(False)
         return _NewtonState(
             y_eval=y,
-            length=jnp.ones_like(zero),
-            forced=jnp.array(True),
-            shortened=false,
+            search=Watchdog.at(y, f_struct.dtype),
             num_trials=jnp.array(0),
             accepted=_Accepted(
                 f_info=_zeros(f_info),
@@ -137,19 +113,16 @@ class Newton(optx.AbstractMinimiser):
                 saddle=false,
                 done=false,
             ),
-            reference=_Reference(y, zero, zero, jnp.array(0)),
             num_accepted_steps=jnp.array(0),
             result=optx.RESULTS.successful,
         )
 
     def step(self, fn, y, args, options, state, tags):
-        last, reference = state.accepted, state.reference
+        last, search = state.accepted, state.search
         f_eval, vjp, aux_eval = jax.vjp(
             lambda y: fn(y, args), state.y_eval, has_aux=True
         )
-        enough = state.forced | (f_eval <= reference.goal)
-        patient = (state.length == 1) & (reference.steps < self.patience)
-        accept = enough | (patient & jnp.isfinite(f_eval))
+        verdict = search.judge(f_eval, self.patience)
 
         def accepted():
             (grad,) = vjp(jnp.ones_like(f_eval))
@@ -174,7 +147,7 @@ class Newton(optx.AbstractMinimiser):
                 no = jnp.full_like(f_eval, -1.0)
                 return last.descent_state, no, jnp.array(False), last.model
 
-            exact_tried = last.near & ~state.shortened
+            exact_tried = last.near & ~search.shortened
             exact = jax.lax.cond(exact_tried, query_exact, nothing)
             _, decrease, convex, _ = exact
             downhill = jnp.isfinite(decrease) & (decrease > 0)
@@ -182,7 +155,7 @@ class Newton(optx.AbstractMinimiser):
                 downhill, lambda: exact, query_model
             )
             threshold = jnp.where(
-                last.near & state.shortened,
+                last.near & search.shortened,
                 self.retry * decrease / jnp.abs(f_eval),
                 last.threshold,
             )
@@ -205,50 +178,35 @@ class Newton(optx.AbstractMinimiser):
                 still & minimum,
             )
 
-        y, now = jax.lax.cond(accept, accepted, lambda: (y, last))
-        # back to the reference where patience ends; from there, shorter
-        back = ~accept & (reference.steps > 0)
-        shorter = ~accept & ~back
-        length = jnp.where(shorter, state.length / 2, 1.0)
-        returned = state.forced & state.shortened
-        length = jnp.where(returned, 0.5, length)
+        y, now = jax.lax.cond(verdict.accept, accepted, lambda: (y, last))
+        length = search.next_length(verdict)
         step, _ = self.model_descent.step(now.stretch * length, now.descent_state)
-        goal = now.f_info.f - self.slope * 2 * now.decrease * now.stretch * length
-        steps = jnp.where(enough | shorter, 0, reference.steps + accept)
-        new_reference = _Reference(
-            jtu.tree_map(lambda a, b: jnp.where(enough, a, b), y, reference.y),
-            jnp.where(enough, f_eval, reference.f),
-            jnp.where(enough | shorter, goal, reference.goal),
-            steps,
-        )
-        at_rounding = shorter & (
+        promised = 2 * now.decrease * now.stretch * length
+        goal = now.f_info.f - self.slope * promised
+        at_rounding = verdict.shorter & (
             now.decrease <= self.noise * jnp.sqrt(jnp.abs(now.f_info.f))
         )
         now = eqx.tree_at(lambda a: a.done, now, now.done | at_rounding)
-        kick = accept & now.saddle & self.certify
-        y_eval = jtu.tree_map(
-            lambda y, step, origin: jnp.where(
-                back,
-                origin,
-                jnp.where(at_rounding, y, y + step + jnp.where(kick, _kick(y), 0.0)),
-            ),
-            y,
-            step,
-            reference.y,
-        )
-        stalled = shorter & (length < self.min_step)
+        kick = verdict.accept & now.saddle & self.certify
+        next_search = search.after(verdict, y, f_eval, goal)
+        next_search = eqx.tree_at(lambda s: s.forced, next_search, verdict.back | kick)
+
+        def next_trial(y, step, reference):
+            onward = jnp.where(
+                at_rounding, y, y + step + jnp.where(kick, _kick(y), 0.0)
+            )
+            return jnp.where(verdict.back, reference, onward)
+
+        stalled = verdict.shorter & (length < self.min_step)
         result = optx.RESULTS.where(
             stalled, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful
         )
         new_state = _NewtonState(
-            y_eval=y_eval,
-            length=length,
-            forced=back | kick,
-            shortened=~accept,
+            y_eval=jtu.tree_map(next_trial, y, step, search.y),
+            search=next_search,
             num_trials=state.num_trials + 1,
             accepted=now,
-            reference=new_reference,
-            num_accepted_steps=state.num_accepted_steps + accept,
+            num_accepted_steps=state.num_accepted_steps + verdict.accept,
             result=result,
         )
         return y, new_state, now.aux
@@ -263,14 +221,14 @@ class Newton(optx.AbstractMinimiser):
         seen = 2 * (f_eval - last.f_info.f - slope)
         expected = slope**2 / (2 * jnp.where(slope == 0, 1.0, last.decrease))
         ratio = expected / jnp.maximum(seen, expected / self.longest)
-        alike = (slope != 0) & ~state.forced
+        alike = (slope != 0) & ~state.search.forced
         return jnp.where(alike, jnp.maximum(ratio, 1.0), 1.0)
 
     def terminate(self, fn, y, args, options, state, tags):
         return state.accepted.done, state.result
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
-        last, best = state.accepted, state.reference
+        last, best = state.accepted, state.search
         stats = {
             "num_newton_steps": state.num_accepted_steps,
             "num_trials": state.num_trials,

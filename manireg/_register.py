@@ -14,9 +14,9 @@ import trimesh
 from jaxtyping import ArrayLike, Float, Int, ScalarLike
 
 from ._checks import check_landmarks
-from ._precision import check_x64
 from ._leave_one_out import RTOL, cut_errors, leave_one_out
 from ._orientation import check_orientation
+from ._precision import check_x64
 from ._problem import make_problem
 from ._selection import CrossValidation
 from ._solve import RegressionMap, evaluate, solve

@@ -11,14 +11,9 @@ from curves import curve_problem, sphere_data
 
 import manireg as mr
 from manireg._block_banded import solve_banded
+from manireg._cholesky import BandCholesky, DenseCholesky, SparseCholesky
 from manireg._hessian import exact, gauss_newton
-from manireg._linear_solvers import (
-    BandCholesky,
-    DenseCholesky,
-    LeastShift,
-    SparseCholesky,
-    direct_solvers,
-)
+from manireg._linear_solvers import LeastShift, direct_solvers
 from manireg._minimise import gauge, stage_of
 from manireg._sparse import band_order
 from manireg._starts import free_solution
