@@ -9,12 +9,18 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from ._checks import check_data, check_tension, check_x64
 from ._domain import Domain, centres_of, discretise
 from ._farthest_points import local_spacings
+from ._following import follow
 from ._jets import Jets, bucket_centres, jets_of, value_jets
 from ._local_polynomials import LocalPolynomials, local_polynomials
+from ._local_spacing import clustered_spacing
 from ._sources import Ambient, Source, sampled, sampled_dim
 from ._sparse import SparsityPattern, band_order, sparsity
 from ._tension import Tension, tension_of
 from .manifolds import AbstractManifold, PointCloud
+
+
+DEFAULT_CENTRES = {1: (30, 100), 2: (50, 400), 3: (60, 400)}  # least and most
+CLUSTERED = 400  # at most, where the data cluster
 
 
 class Problem(eqx.Module):
@@ -43,6 +49,9 @@ class Problem(eqx.Module):
     """For each bucket of elements, where its pairs of centres are in the pattern."""
     data_places: tuple[Int[Array, "_ _"], ...]
     tension: Tension | None
+    data_volume: Float[Array, ""]
+    """Of the part of the source that the data fill: less than `volume` where they
+    cluster."""
 
     @property
     def volume(self) -> Float[Array, ""]:
@@ -110,29 +119,56 @@ def make_problem(
             f"degree: must be at least 1, found {degree}: affine maps have to cost "
             "nothing."
         )
-    if centres is None:
-        low, high = {1: (30, 100), 2: (50, 400)}.get(m, (60, 400))
-        centres = int(np.clip(len(x), low, high))
     if width is None:
         flat = 1.5 if isinstance(source, Ambient) else 2.2
         width = 2.5 if m == 1 else flat
-    domain = discretise(source, centres, x, graded)
-    nodes = centres_of(source, centres, x, graded)
-    if isinstance(sampled(source), PointCloud):
-        spacing = local_spacings(np.asarray(nodes.points), m)
-    else:
-        spacing = (jnp.sum(domain.weights) / len(nodes.points)) ** (1 / m)
+    nodes, spacing, domain, data_volume = _resolution(source, x, centres, graded)
     basis = local_polynomials(nodes, width * spacing, degree)
     if m == 1:
         order = band_order(np.asarray(basis.centres), np.asarray(basis.widths))
         basis = jax.tree.map(lambda a: a[order], basis)
-    return assemble_problem(source, target, basis, domain, x, y, weights, tension)
+    return assemble_problem(
+        source, target, basis, domain, x, y, weights, tension, data_volume
+    )
+
+
+def _resolution(source: Source, x, centres: int | None, graded: bool):
+    """Centres, the spacing around them, quadrature, and the volume that the data fill: all
+    of it, or where they cluster what they would fill at their median density."""
+    m = sampled_dim(source)
+    low, high = DEFAULT_CENTRES.get(m, DEFAULT_CENTRES[3])
+    n = int(np.clip(len(x), low, high)) if centres is None else centres
+    domain = discretise(source, n, x, graded)
+    volume = float(jnp.sum(domain.weights))
+    data = np.asarray(x)
+    spacing = None if graded else clustered_spacing(data, m, volume, n, low)
+    if spacing is not None:
+        most = CLUSTERED if centres is None else centres
+        followed = follow(source, spacing, most, data, finer=centres is not None)
+        if followed is not None:
+            return *followed, spacing.data_volume
+    nodes = centres_of(source, n, x, graded)
+    if isinstance(sampled(source), PointCloud):
+        spacing = local_spacings(np.asarray(nodes.points), m)
+    else:
+        spacing = (volume / len(nodes.points)) ** (1 / m)
+    return nodes, spacing, domain, volume
 
 
 def assemble_problem(
-    source, target, basis, domain: Domain, x, y, weights, tension: float = 0.0
+    source,
+    target,
+    basis,
+    domain: Domain,
+    x,
+    y,
+    weights,
+    tension: float = 0.0,
+    data_volume: float | None = None,
 ) -> Problem:
     """The same from a basis and a quadrature of your own; inputs are not checked."""
+    if data_volume is None:
+        data_volume = jnp.sum(domain.weights)
     energy_jets = jets_of(basis, domain.points, domain.frames, domain.second_forms)
     free_jets = energy_jets
     if np.any(np.asarray(domain.second_forms)):
@@ -155,6 +191,7 @@ def assemble_problem(
         energy_places=energy_places,
         data_places=data_places,
         tension=tension_of(tension, energy_jets, domain.points, x, y, weights),
+        data_volume=jnp.asarray(data_volume),
     )
 
 

@@ -67,12 +67,12 @@ def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
 
 
 def mean_spacing(problem: Problem):
-    """Of the data, were they spread evenly."""
-    return (problem.volume / len(problem.y)) ** (1 / sampled_dim(problem.source))
+    """Of the data in the volume that they fill."""
+    return (problem.data_volume / len(problem.y)) ** (1 / sampled_dim(problem.source))
 
 
 def lambda_of_wavelength(problem: Problem, wavelength):
-    return (wavelength / (2 * np.pi)) ** 4 / problem.volume
+    return (wavelength / (2 * np.pi)) ** 4 / problem.data_volume
 
 
 def cross_validate(
