@@ -94,7 +94,7 @@ def _scattered(source, spacing: LocalSpacing, n: int, finer: bool) -> Followed |
     quadrature = with_second_forms(source, points, frames, weights)
     # the first of farthest points are farthest points, too
     nodes = with_second_forms(source, points[:n], frames[:n], np.ones(n))
-    return Followed(nodes, local_spacings(points[:n], m), quadrature)
+    return Followed(nodes, NARROWER * local_spacings(points[:n], m), quadrature)
 
 
 def _candidates(source, spacing: LocalSpacing, n: int) -> Float[np.ndarray, "n s"]:

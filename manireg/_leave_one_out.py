@@ -19,6 +19,7 @@ from ._linear_solvers import DirectSolvers, direct_solvers
 from ._minimise import minimise, newton_minimiser, stage_of
 from ._objective import Stage, at_data, objective
 from ._problem import Problem
+from ._resolution import warn_where_coarse
 from ._selection import CrossValidation, lambda_of_wavelength, mean_spacing
 from ._solve import RegressionMap, free_solution
 
@@ -91,6 +92,7 @@ def leave_one_out(
         bool(fits[lam][0].result == optx.RESULTS.successful) for lam in visited
     ]
     chosen = _choice(fits)
+    warn_where_coarse(problem, chosen)
     return CrossValidation(
         jnp.asarray(chosen),
         jnp.asarray(visited),

@@ -19,6 +19,7 @@ from ._local_polynomials import LocalPolynomials, basis_values, cover
 from ._minimise import Method, minimise, newton_minimiser, stage_of
 from ._objective import Energies, Stage, objective
 from ._problem import Problem
+from ._resolution import warn_where_coarse
 from ._sources import Source
 from .manifolds import AbstractManifold, Euclidean
 
@@ -119,12 +120,16 @@ def solve(
     - `max_steps`: trial steps allowed.
     - `linear_algebra`: `"sparse"` (CPU), `"dense"` (any device), `"auto"`.
     - `throw`: raise if Newton fails; else look at `.result`.
+
+    **Warns** (`ResolutionWarning`) where the basis is coarser than data and lambda ask
+    for: more `centres` resolve more.
     """
     check_lam(lam)
     if method not in ("projected", "penalty"):
         raise ValueError(
             f"method: expected 'projected' or 'penalty', found {method!r}."
         )
+    warn_where_coarse(problem, lam)
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
     model = _solve(
         problem,

@@ -13,8 +13,8 @@ import manireg
 FLOORS: Sequence[str] = """
 _numerics _sweep manifolds _sources _frames _charts _checks _cloud_paths
 _block_banded _harmonic_curves _geodesic _farthest_points _point_sets _domain
-_energy _local_polynomials _jets _densities _sparse _linear_solvers _tension _problem
-_local_target _objective _assembly _hessian _newton _continuation _minimise _solve
+_local_spacing _cells _following _energy _local_polynomials _jets _densities _sparse _linear_solvers _tension _problem
+_resolution _local_target _objective _assembly _hessian _newton _continuation _minimise _solve
 _geodesic_loss _folds _selection _leave_one_out _register _fit baselines datasets
 plot __init__ _cli_tables _cli_errors _cli_report _cli_fit _cli_register _cli
 __main__
