@@ -11,7 +11,13 @@ from jaxtyping import Float
 from ._cells import even_cells, graded_cells, on_cells
 from ._charts import Atlas, atlas_of
 from ._checks import projected
-from ._domain import Domain, ambient_domain, nodes_per_axis, panels_of, with_second_forms
+from ._domain import (
+    Domain,
+    ambient_domain,
+    nodes_per_axis,
+    panels_of,
+    with_second_forms,
+)
 from ._farthest_points import farthest_indices, local_spacings
 from ._frames import tangent_frames
 from ._local_spacing import LocalSpacing

@@ -18,7 +18,6 @@ from ._sparse import SparsityPattern, band_order, sparsity
 from ._tension import Tension, tension_of
 from .manifolds import AbstractManifold, PointCloud
 
-
 DEFAULT_CENTRES = {1: (30, 100), 2: (50, 400), 3: (60, 400)}  # least and most
 CLUSTERED = 400  # at most, where the data cluster
 
@@ -152,7 +151,7 @@ def _resolution(source: Source, x, centres: int | None, graded: bool):
     spacing = None if graded else clustered_spacing(data, m, volume, n, low)
     if spacing is not None:
         most = CLUSTERED if centres is None else centres
-        followed = follow(source, spacing, most, data, finer=centres is not None)
+        followed = follow(source, spacing, most, x, finer=centres is not None)
         if followed is not None:
             return *followed, spacing.data_volume
     nodes = centres_of(source, n, x, graded)
