@@ -55,7 +55,7 @@ def even_cells(atlas: Atlas, spacing: Spacing, most: float = np.inf) -> Cells | 
         return None
     order = np.argsort(fine.lower[:, 0])
     points, _, lengths = on_cells(atlas, fine)
-    passed = np.append(0.0, np.cumsum((lengths / spacing(points))[order]))
+    passed = np.append(0.0, np.cumsum((lengths / spacing(np.asarray(points)))[order]))
     n = max(3, round(passed[-1]))
     if n > most:
         return None

@@ -70,6 +70,7 @@ def _in_charts(
     if scale is None:
         return None
     cells = divide(atlas, spacing.at(scale), n)
+    assert cells is not None
     nodes = with_second_forms(source, *on_cells(atlas, cells))
     h = spacing.at(scale)(np.asarray(nodes.points))
     h = np.asarray(nodes.weights) if m == 1 else NARROWER * h

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
 
 from ._checks import check_data, check_tension, check_x64
 from ._domain import Domain, centres_of, discretise
@@ -153,7 +153,8 @@ def _resolution(source: Source, x, centres: int | None, graded: bool):
         most = CLUSTERED if centres is None else centres
         followed = follow(source, spacing, most, x, finer=centres is not None)
         if followed is not None:
-            return *followed, spacing.data_volume
+            nodes, h, quadrature = followed
+            return nodes, h, quadrature, spacing.data_volume
     nodes = centres_of(source, n, x, graded)
     if isinstance(sampled(source), PointCloud):
         spacing = local_spacings(np.asarray(nodes.points), m)
@@ -171,7 +172,7 @@ def assemble_problem(
     y,
     weights,
     tension: float = 0.0,
-    data_volume: float | None = None,
+    data_volume: ScalarLike | None = None,
 ) -> Problem:
     """The same from a basis and a quadrature of your own; inputs are not checked."""
     if data_volume is None:

@@ -33,7 +33,7 @@ def warn_where_coarse(problem: Problem, lam: ScalarLike) -> None:
         return
     m = sampled_dim(problem.source)
     data = np.unique(np.asarray(problem.x), axis=0)
-    wanted, spacing = _wanted_spacings(problem, data, float(lam), m)
+    wanted, spacing = _wanted_spacings(problem, data, float(np.asarray(lam)), m)
     coarse = spacing > wanted
     if np.mean(coarse) < SHARE:
         return
@@ -41,7 +41,7 @@ def warn_where_coarse(problem: Problem, lam: ScalarLike) -> None:
     centres = len(problem.basis.centres)
     warnings.warn(
         f"centres: at {np.sum(coarse)} of {len(data)} distinct inputs the basis limits "
-        f"the fit, not lam = {float(lam):.3g}: its {centres} centres lie "
+        f"the fit, not lam = {float(np.asarray(lam)):.3g}: its {centres} centres lie "
         f"{np.median(spacing[coarse]):.3g} apart there, {finer:.1f} times too far for the "
         "data and this lambda. Finer detail of the data is averaged out. Give more "
         "`centres`, or a larger `lam` if that is meant.",

@@ -191,7 +191,7 @@ def test_bursts_as_a_smoothing_spline():
     truth = 0.8 * np.sin(2 * np.pi * BURSTS / 25)
     y = truth + 0.05 * np.random.default_rng(0).normal(size=BURSTS.shape)
     problem = mr.make_problem(DAY, LINE, BURSTS, y[:, None])
-    assert problem.pattern.band < 12
+    assert problem.pattern.band is not None and problem.pattern.band < 12
     rms = lambda values: np.sqrt(np.mean((np.ravel(values) - truth) ** 2))
     for lam in (1e-2, 0.1):
         spline = make_smoothing_spline(BURSTS, y, lam=len(y) * lam)(BURSTS)
