@@ -20,6 +20,7 @@ from ._leave_one_out import leave_one_out as leave_one_out
 from ._objective import Energies as Energies
 from ._problem import Problem as Problem, make_problem as make_problem
 from ._register import Registration as Registration, register as register
+from ._resolution import ResolutionWarning as ResolutionWarning
 from ._selection import (
     CrossValidation as CrossValidation,
     cross_validate as cross_validate,

@@ -15,6 +15,7 @@ from .manifolds import (
     Cylinder,
     Euclidean,
     FlatTorus,
+    Product,
     Sphere,
     SymmetricPositiveDefinite,
     Torus,
@@ -121,3 +122,67 @@ def _extent(source, coordinates):
             f"which is empty: all points agree in a coordinate ({lower} to {upper})."
         )
     return lower, upper
+
+
+class Atlas(NamedTuple):
+    """Charts that share one formula: u, label -> embed(u, label), on F boxes that together
+    cover the source once."""
+
+    lower: np.ndarray
+    """`(F, m)`, as `upper`."""
+    upper: np.ndarray
+    labels: np.ndarray
+    """`(F, l)`: what tells the charts apart."""
+    embed: Callable[[Array, Array], Array]
+
+
+def atlas_of(source, around) -> Atlas | None:
+    """The chart of a source, the faces of a cube around a sphere, all pairs for a product;
+    or None."""
+    chart = chart_of(source, around)
+    if chart is not None:
+        embed = lambda u, label: chart.embed(u)
+        return Atlas(chart.lower[None], chart.upper[None], np.zeros((1, 0)), embed)
+    if isinstance(source, Sphere):
+        return _cube(source)
+    if isinstance(source, Product):
+        return _product_atlas(source, around)
+    return None
+
+
+def _cube(sphere: Sphere) -> Atlas:
+    """Equal angles along the axes of each face: tan u is the point on the face."""
+    s = sphere.dim + 1
+    turns = [np.roll(np.eye(s), i, axis=1) for i in range(s)]
+    labels = np.stack([sign * turn.ravel() for turn in turns for sign in (1.0, -1.0)])
+
+    def embed(u, label):
+        on_face = jnp.append(1.0, jnp.tan(u)) @ label.reshape(s, s)
+        return sphere.radius * on_face / jnp.sqrt(jnp.sum(on_face**2))
+
+    corner = np.full((2 * s, sphere.dim), np.pi / 4)
+    return Atlas(-corner, corner, labels, embed)
+
+
+def _product_atlas(source: Product, around) -> Atlas | None:
+    parts = (None,) * len(source.factors) if around is None else source.split(around)
+    atlases = []
+    for factor, x in zip(source.factors, parts):
+        x = None if x is None else np.asarray(x).reshape(len(x), -1)
+        atlases.append(atlas_of(factor, x))
+    if any(atlas is None for atlas in atlases):
+        return None
+    picked = np.indices([len(a.lower) for a in atlases]).reshape(len(atlases), -1)
+    join = lambda arrays: np.concatenate([a[i] for a, i in zip(arrays, picked)], axis=1)
+    in_u = np.cumsum([a.lower.shape[1] for a in atlases])[:-1]
+    in_label = np.cumsum([a.labels.shape[1] for a in atlases])[:-1]
+
+    def embed(u, label):
+        each = zip(atlases, jnp.split(u, in_u), jnp.split(label, in_label))
+        return jnp.concatenate([a.embed(v, own) for a, v, own in each])
+
+    lower, upper, labels = (
+        join([getattr(a, name) for a in atlases])
+        for name in ("lower", "upper", "labels")
+    )
+    return Atlas(lower, upper, labels, embed)

@@ -36,9 +36,20 @@ class Domain(eqx.Module):
         return self.frames.shape[-1]
 
 
-_NODES_PER_SPACING = {1: 10, 2: 4}  # Gauss nodes a centre and axis; 3 from dimension 3
 _ON_CLOUD = 12  # points of a cloud per centre
 _FEW = 12  # centres any cloud may have
+
+
+def nodes_per_axis(m: int) -> int:
+    """Gauss nodes a centre and axis."""
+    return {1: 10, 2: 4}.get(m, 3)
+
+
+def panels_of(m: int) -> tuple[int, int]:
+    """Panels a spacing and nodes in each: if there can be two, the kernel's joints fall on
+    panel ends."""
+    nodes = nodes_per_axis(m)
+    return (2, nodes // 2) if nodes % 2 == 0 else (1, nodes)
 
 
 def centres_of(source: Source, n: int, around=None, graded: bool = False) -> Domain:
@@ -62,7 +73,7 @@ def centres_of(source: Source, n: int, around=None, graded: bool = False) -> Dom
     if isinstance(source, Product):
         return _product_domain(source, n, around, centres_of)
     if isinstance(source, Ambient):
-        return _ambient(centres_of(source.manifold, n, around, graded))
+        return ambient_domain(centres_of(source.manifold, n, around, graded))
     if isinstance(source, PointCloud):
         most = len(source.points)
         if source.triangles is None:  # the quadrature has no points between
@@ -95,7 +106,7 @@ def discretise(source: Source, n: int, around=None, graded: bool = False) -> Dom
     space.
     """
     _check_graded(source, around, graded)
-    per_axis = _NODES_PER_SPACING.get(source.dim, 3)
+    per_axis = nodes_per_axis(source.dim)
     chart = chart_of(source, around)
     if chart is not None:
         axes = []
@@ -106,16 +117,13 @@ def discretise(source: Source, n: int, around=None, graded: bool = False) -> Dom
                 nodes = np.linspace(low, high, count * per_axis + 1)[:-1]
                 axes.append((nodes, np.full(len(nodes), (high - low) / len(nodes))))
             else:
-                # two panels a spacing: the kernel's joints fall on panel ends
-                panels, nodes = (
-                    (2, per_axis // 2) if per_axis % 2 == 0 else (1, per_axis)
-                )
+                panels, nodes = panels_of(source.dim)
                 axes.append(gauss_panels(low, high, count * panels, nodes))
         return with_second_forms(source, *grid(chart, axes))
     if isinstance(source, Product):
         return _product_domain(source, n, around, discretise)
     if isinstance(source, Ambient):
-        return _ambient(discretise(source.manifold, n, around, graded))
+        return ambient_domain(discretise(source.manifold, n, around, graded))
     if isinstance(source, PointCloud):
         n = min(n, len(source.points)) * _ON_CLOUD
         return with_second_forms(source, *of_cloud(source, n, around, graded))
@@ -152,7 +160,7 @@ def _product_domain(source: Product, n: int, around, build) -> Domain:
     return with_second_forms(source, points, frames, weights)
 
 
-def _ambient(domain: Domain) -> Domain:
+def ambient_domain(domain: Domain) -> Domain:
     """The same points and weights, all directions, no curvature."""
     Q, s, _ = domain.frames.shape
     frames = jnp.broadcast_to(jnp.eye(s), (Q, s, s))

@@ -15,12 +15,16 @@ def farthest_points(cloud: np.ndarray, n: int) -> np.ndarray:
 
 
 def farthest_indices(
-    cloud: np.ndarray, n: int, first=(), spacing: np.ndarray | float = 1.0
+    cloud: np.ndarray,
+    n: int,
+    first=(),
+    spacing: np.ndarray | float = 1.0,
+    growth: float | None = None,
 ) -> np.ndarray:
     """Indices of the distinct points `first` (default: point 0) and then, up to `n`, of
-    the points of `cloud` that are farthest from all before, in units of `spacing`. Of
-    points equally far but for rounding the first is taken, so that neither unit nor origin
-    matters."""
+    the points of `cloud` that are farthest from all before, in units of `spacing`, which
+    grows by at most `growth` per distance (knowing that saves time). Of points equally far
+    but for rounding the first is taken, so that neither unit nor origin matters."""
     first = np.unique(np.asarray(first, dtype=int)) if len(first) else np.zeros(1, int)
     chosen = np.append(first, np.zeros(max(0, n - len(first)), dtype=int))
     scale = np.broadcast_to(np.asarray(spacing), len(cloud)) ** -2.0
@@ -33,7 +37,10 @@ def farthest_indices(
         share = EQUAL + 2 * noise / np.sqrt(max(distance[new], noise**2))
         chosen[i] = new = np.argmax(score >= (1 - share) * score[new])
         # no point farther from `new` than this can have it as its nearest
-        reach = np.sqrt(np.max(distance) if np.ndim(spacing) else distance[new])
+        reach = np.sqrt(distance[new])
+        if np.ndim(spacing):
+            slack = 0.0 if growth is None else 1 - growth * np.sqrt(score[new])
+            reach = reach / slack if slack > 0 else np.sqrt(np.max(distance))
         near = tree.query_ball_point(cloud[new], reach * (1 + 1e-9) + noise)
         closer = np.minimum(distance[near], np.sum((cloud[near] - cloud[new]) ** 2, 1))
         distance[near], score[near] = closer, closer * scale[near]
@@ -66,5 +73,10 @@ def local_spacings(points: np.ndarray, m: int) -> np.ndarray:
     eight nearest has eight times the volume h^m."""
     neighbours = min(NEIGHBOURS, len(points) - 1)
     radius = KDTree(points).query(points, k=neighbours + 1)[0][:, -1]
+    return ball_spacings(radius, neighbours, m)
+
+
+def ball_spacings(radius: np.ndarray, inside: int, m: int) -> np.ndarray:
+    """h, where `inside` points have the volume of a ball of that radius, h^m each."""
     unit_ball = np.pi ** (m / 2) / gamma(m / 2 + 1)
-    return radius * (unit_ball / neighbours) ** (1 / m)
+    return radius * (unit_ball / inside) ** (1 / m)

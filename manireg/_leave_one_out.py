@@ -19,6 +19,7 @@ from ._numbers import Numbers
 from ._objective import Stage, at_data, objective
 from ._precision import check_x64
 from ._problem import Problem, psi_jets
+from ._resolution import warn_where_coarse
 from ._selection import CrossValidation
 from ._solve import RegressionMap, regression_map
 from ._starts import free_solution
@@ -94,6 +95,7 @@ def leave_one_out(
         bool(fits[lam][0].result == optx.RESULTS.successful) for lam in visited
     ]
     chosen = _choice(fits)
+    warn_where_coarse(problem, chosen)
     return CrossValidation(
         jnp.asarray(chosen),
         jnp.asarray(visited),

@@ -85,7 +85,7 @@ def quasi_uniform(source: Source, n: int, with_weights: bool) -> Sample:
         frames = tangent_frames(source, points)
         weights = np.ones(n)
         if with_weights:
-            weights = _voronoi_volumes(source, points, frames)
+            weights = voronoi_volumes(source, points, frames)
     return points, frames, weights
 
 
@@ -148,7 +148,7 @@ def _fibonacci(n: int) -> np.ndarray:
     return np.stack([rho * np.cos(longitude), rho * np.sin(longitude), z], axis=1)
 
 
-def _voronoi_volumes(source, points, frames) -> np.ndarray:
+def voronoi_volumes(source, points, frames) -> np.ndarray:
     """Volume of each point's Voronoi cell on M. Quasi-random vectors u of a tangent ball
     are sent to M by u -> pi(p + E u); those that stay nearest to p count, each with the
     volume distortion of that map."""

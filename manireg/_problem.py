@@ -4,19 +4,24 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, ScalarLike
 
 from ._checks import check_data, check_dimension, check_tension
 from ._domain import Domain, centres_of, discretise
 from ._farthest_points import local_spacings
+from ._following import follow
 from ._jets import Jets, bucket_centres, in_order, jet_values, jets_of, value_jets
 from ._local_polynomials import LocalPolynomials, local_polynomials
+from ._local_spacing import clustered_spacing
 from ._numbers import Numbers
 from ._precision import check_x64
 from ._sources import Ambient, Source, sampled, sampled_dim
 from ._sparse import SparsityPattern, band_order, sparsity
 from ._tension import Tension, tension_of
 from .manifolds import AbstractManifold, PointCloud
+
+DEFAULT_CENTRES = {1: (30, 100), 2: (50, 400), 3: (60, 400)}  # least and most
+CLUSTERED = 400  # at most, where the data cluster
 
 
 class Problem(eqx.Module):
@@ -47,6 +52,9 @@ class Problem(eqx.Module):
     """For each bucket of elements, where its pairs of centres are in the pattern."""
     data_places: tuple[Int[Array, "_ _"], ...]
     tension: Tension | None
+    data_volume: Float[Array, ""]
+    """Of the part of the source that the data fill: less than `volume` where they
+    cluster."""
 
     @property
     def volume(self) -> Float[Array, ""]:
@@ -95,12 +103,20 @@ def make_problem(
       the loss is a weighted mean. Data of weight 0 are not fitted and not scored.
     - `centres`: about how many local polynomials; default k within 30..100 on curves,
       50..400 on surfaces, 60..400 above. More resolve finer detail; the cost grows with
-      them.
+      them. They are spread evenly, unless the data cluster: if at least a twentieth of
+      them (and 4 to 9) lie five times as densely as on average over the source, and more
+      densely than the centres. Then centres and quadrature follow the data: their spacing
+      is that of the data nearby (a ball around a datum that holds eight others has eight
+      times the volume h^m), growing by 0.3 to 0.45 per distance away from them; by
+      default as many as that takes, up to 400, and with fewer all are farther apart by
+      the same factor. Lambda means the same. Not on point clouds (see `graded`) and on
+      products with a factor other than flat spaces, spheres, tori and cylinders: there a
+      `ResolutionWarning` in `solve` tells where more are needed.
     - `degree`: of the local polynomials, at least 1; default 2, on `Ambient` sources 1
       (linear in all directions).
     - `width`: support radius of a local polynomial in units of the spacing
-      $(\mathrm{vol}(M)/K)^{1/m}$, on point clouds of the local spacing of the centres;
-      default 2.5 on curves, 2.2 above, 1.5 on `Ambient` sources.
+      $(\mathrm{vol}(M)/K)^{1/m}$, on point clouds and where the centres follow the data
+      of their local spacing; default 2.5 on curves, 2.2 above, 1.5 on `Ambient` sources.
     - `graded`: for point clouds: let resolution and smoothness follow the data. The
       centres' spacing h grows like 1 + d/D with the distance d to the nearest input (D:
       the mean of that distance among the inputs), and lambda in proportion to
@@ -132,29 +148,57 @@ def make_problem(
             f"degree: must be at least 1, found {degree}: affine maps have to cost "
             "nothing."
         )
-    if centres is None:
-        low, high = {1: (30, 100), 2: (50, 400)}.get(m, (60, 400))
-        centres = int(np.clip(len(x), low, high))
     if width is None:
         flat = 1.5 if isinstance(source, Ambient) else 2.2
         width = 2.5 if m == 1 else flat
-    domain = discretise(source, centres, x, graded)
-    nodes = centres_of(source, centres, x, graded)
-    if isinstance(sampled(source), PointCloud):
-        spacing = local_spacings(np.asarray(nodes.points), m)
-    else:
-        spacing = (jnp.sum(domain.weights) / len(nodes.points)) ** (1 / m)
+    nodes, spacing, domain, data_volume = _resolution(source, x, centres, graded)
     basis = local_polynomials(nodes, width * spacing, degree, domain)
     if m == 1:
         order = band_order(np.asarray(basis.centres), np.asarray(basis.widths))
         basis = jax.tree.map(lambda a: a[order], basis)
-    return assemble_problem(source, target, basis, domain, x, y, weights, tension)
+    return assemble_problem(
+        source, target, basis, domain, x, y, weights, tension, data_volume
+    )
+
+
+def _resolution(source: Source, x, centres: int | None, graded: bool):
+    """Centres, the spacing around them, quadrature, and the volume that the data fill: all
+    of it, or where they cluster what they would fill at their median density."""
+    m = sampled_dim(source)
+    low, high = DEFAULT_CENTRES.get(m, DEFAULT_CENTRES[3])
+    n = int(np.clip(len(x), low, high)) if centres is None else centres
+    domain = discretise(source, n, x, graded)
+    volume = float(jnp.sum(domain.weights))
+    data = np.asarray(x)
+    spacing = None if graded else clustered_spacing(data, m, volume, n, low)
+    if spacing is not None:
+        most = CLUSTERED if centres is None else centres
+        followed = follow(source, spacing, most, x, finer=centres is not None)
+        if followed is not None:
+            nodes, h, quadrature = followed
+            return nodes, h, quadrature, spacing.data_volume
+    nodes = centres_of(source, n, x, graded)
+    if isinstance(sampled(source), PointCloud):
+        spacing = local_spacings(np.asarray(nodes.points), m)
+    else:
+        spacing = (volume / len(nodes.points)) ** (1 / m)
+    return nodes, spacing, domain, volume
 
 
 def assemble_problem(
-    source, target, basis, domain: Domain, x, y, weights, tension: float = 0.0
+    source,
+    target,
+    basis,
+    domain: Domain,
+    x,
+    y,
+    weights,
+    tension: float = 0.0,
+    data_volume: ScalarLike | None = None,
 ) -> Problem:
     """The same from a basis and a quadrature of your own; inputs are not checked."""
+    if data_volume is None:
+        data_volume = jnp.sum(domain.weights)
     energy_jets = jets_of(basis, domain.points, domain.frames, domain.second_forms)
     free_jets = energy_jets
     if np.any(np.asarray(domain.second_forms)):
@@ -178,6 +222,7 @@ def assemble_problem(
         energy_places=energy_places,
         data_places=data_places,
         tension=tension_of(tension, energy_jets, domain.points, x, y, weights),
+        data_volume=jnp.asarray(data_volume),
     )
 
 

@@ -54,10 +54,13 @@ class CrossValidation(eqx.Module):
         return jnp.argmin(jnp.abs(self.lams - self.lam))
 
 
-def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
-    r"""Scale-free grid, equal steps of log lambda: lambda = (l / 2 pi)^4 / vol(M) for
-    wavelengths l from the spacing of the data, (vol(M)/k)^{1/m}, to twice the size of M,
-    vol(M)^{1/m}.
+def lambda_grid(problem: Problem, n: int | None = None) -> Float[Array, " n"]:
+    r"""Scale-free grid, equal steps of log lambda: lambda = (l / 2 pi)^4 / V for
+    wavelengths l from the spacing of the data, (V/k)^{1/m}, to twice the size of M,
+    vol(M)^{1/m}. V is the volume that the data fill: vol(M), or where they cluster (see
+    `centres` in `make_problem`) k times that of their median spacing.
+
+    `n` defaults to 20, or where the data cluster to as many as take the same steps.
 
     A perturbation of wavelength l adds to loss and penalty alike at that lambda, whatever
     the scale of the target. Below the spacing the data say nothing.
@@ -66,6 +69,9 @@ def lambda_grid(problem: Problem, n: int = GRID) -> Float[Array, " n"]:
     size = problem.volume ** (1 / sampled_dim(problem.source))
     low = jnp.log(lambda_of_wavelength(problem, mean_spacing(problem)))
     high = jnp.log(lambda_of_wavelength(problem, 2 * size))
+    if n is None:
+        even = 4 * (np.log(2) + np.log(len(problem.y)) / sampled_dim(problem.source))
+        n = 1 + round((GRID - 1) * max(1.0, float(high - low) / even))
     return jnp.exp(jnp.linspace(low, high, n))
 
 

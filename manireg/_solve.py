@@ -22,6 +22,7 @@ from ._numbers import Numbers
 from ._objective import Energies, Stage, objective
 from ._precision import check_x64
 from ._problem import Problem
+from ._resolution import warn_where_coarse
 from ._sources import Ambient, Source
 from ._starts import STRIDE, starts_of
 from .manifolds import AbstractManifold
@@ -151,9 +152,12 @@ def solve(
     - `throw`: raise if Newton fails; else look at `.result`.
 
     **Raises** ValueError for float32 mode and arguments that are not as above.
+    **Warns** (`ResolutionWarning`) where the basis is coarser than data and lambda ask
+    for: more `centres` resolve more.
     """
     lam = check_lam(lam)
     _check_options(problem, method, starts, warm, max_steps)
+    warn_where_coarse(problem, lam)
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
     model = _solve(
         problem,

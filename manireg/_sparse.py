@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.spatial import KDTree
 
@@ -154,4 +155,7 @@ def band_order(
     near = tree.sparse_distance_matrix(
         tree, 2 * np.max(radii), output_type="coo_matrix"
     )
+    meet = near.data <= radii[near.row] + radii[near.col]
+    pairs = near.row[meet], near.col[meet]
+    near = coo_matrix((near.data[meet], pairs), shape=near.shape)
     return reverse_cuthill_mckee(near.tocsr(), symmetric_mode=True)[::-1]

@@ -1,5 +1,5 @@
 """Lambda as a wavelength: a perturbation of wavelength l adds to loss and penalty alike at
-lambda = (l / 2 pi)^4 / vol(M), whatever the scale of the target."""
+lambda = (l / 2 pi)^4 / V, V the volume that the data fill, whatever the scale of the target."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,13 +11,13 @@ ANCHOR = 1.5  # wavelength, in spacings of the data, under which maps follow the
 
 
 def mean_spacing(problem: Problem):
-    """Of the data that have a weight, were they spread evenly."""
+    """Of the data that have a weight, in the volume that they fill."""
     k = jnp.sum(problem.weights > 0)
-    return (problem.volume / k) ** (1 / sampled_dim(problem.source))
+    return (problem.data_volume / k) ** (1 / sampled_dim(problem.source))
 
 
 def lambda_of_wavelength(problem: Problem, wavelength):
-    return (wavelength / (2 * np.pi)) ** 4 / problem.volume
+    return (wavelength / (2 * np.pi)) ** 4 / problem.data_volume
 
 
 def anchor(problem: Problem):

@@ -55,3 +55,10 @@ def test_graded_is_for_point_clouds():
     x, y = np.linspace(0, 1, 5), np.eye(3)[[0, 1, 2, 0, 1]]
     with pytest.raises(ValueError, match="graded"):
         mr.make_problem(interval, mr.Sphere(2), x, y, graded=True)
+
+
+def test_a_known_growth_changes_nothing():
+    square = np.random.default_rng(0).random((3000, 2))
+    spacing = 0.01 + 0.3 * np.linalg.norm(square, axis=1)
+    slow = farthest_indices(square, 200, spacing=spacing)
+    assert np.array_equal(farthest_indices(square, 200, (), spacing, 0.3), slow)

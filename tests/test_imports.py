@@ -13,12 +13,12 @@ import manireg
 FLOORS: Sequence[str] = """
 _precision _shown _numbers _numerics _sweep meshes manifolds _sources _frames _charts
 _membership _checks _cloud_paths _block_banded _harmonic_curves _geodesic
-_farthest_points _point_sets _domain _energy _local_polynomials _jets _densities
-_sparse _cholesky _linear_solvers _tension _problem _local_target _objective _assembly
-_hessian _watchdog _newton _continuation _minimise _wavelengths _starts _solve
-_geodesic_loss _folds _selection _leave_one_out _orientation _register _fit baselines
-datasets plot __init__ _cli_columns _cli_axes _cli_tables _cli_errors _cli_report
-_cli_fit _cli_register _cli __main__
+_farthest_points _point_sets _domain _local_spacing _cells _following _energy
+_local_polynomials _jets _densities _sparse _cholesky _linear_solvers _tension _problem
+_resolution _local_target _objective _assembly _hessian _watchdog _newton _continuation
+_minimise _wavelengths _starts _solve _geodesic_loss _folds _selection _leave_one_out
+_orientation _register _fit baselines datasets plot __init__ _cli_columns _cli_axes
+_cli_tables _cli_errors _cli_report _cli_fit _cli_register _cli __main__
 """.split()
 ROOT = Path(manireg.__path__[0])
 FILES = {
