@@ -1,5 +1,5 @@
 """Lambda as a wavelength: a perturbation of wavelength l adds to loss and penalty alike at
-lambda = (l / 2 pi)^4 / V, V the volume that the data fill, whatever the scale of the target."""
+lambda = (l / 2 pi)^4 / V, V the volume that the data fill, whatever the target's scale."""
 
 import jax.numpy as jnp
 import numpy as np
