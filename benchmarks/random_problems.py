@@ -118,10 +118,11 @@ def main():
     results = Path(__file__).parent / "results" / "random_problems.csv"
     parser.add_argument("--out", type=Path, default=results)
     options = parser.parse_args()
-    shapes = [SHAPES[i] for i in options.shapes] if options.shapes else SHAPES
-    each = -(-options.problems // len(shapes))
+    numbers = options.shapes or range(len(SHAPES))
+    each = -(-options.problems // len(SHAPES))
     rows = []
-    for number, (source, target, k) in enumerate(shapes):
+    for number in numbers:
+        source, target, k = SHAPES[number]
         rng = np.random.default_rng((options.seed, number))
         for _ in range(each):
             problem, middle, noise, part = problem_of(rng, source, target, k)
