@@ -74,9 +74,10 @@ def leave_one_out(
         # a Python number would be compiled into the program
         traced = jnp.asarray(lam)
         model, errors = _fit_and_score(problem, traced, w, solvers, max_steps)
-        fits[lam] = model, np.asarray(errors)[heavy]
+        fits[lam] = model, np.nan_to_num(np.asarray(errors)[heavy], nan=np.inf)
         bar.update()
-        return model.coefficients
+        # a fit that ends in no numbers is no start for the next
+        return model.coefficients if np.all(np.isfinite(model.coefficients)) else w
 
     with tqdm(total=len(grid), desc="leave-one-out", disable=not progress) as bar:
         for lam in grid:
@@ -107,7 +108,13 @@ def leave_one_out(
 
 def _best(fits: dict[float, tuple[RegressionMap, np.ndarray]]) -> float:
     """The lambda of the lowest score."""
-    return min(fits, key=lambda lam: cut_errors(fits[lam][1]).mean())
+    best = min(fits, key=lambda lam: cut_errors(fits[lam][1]).mean())
+    if not np.all(np.isfinite(fits[best][1])):
+        raise ValueError(
+            "lams: no fit ended in numbers, so there is no lambda to choose; check the "
+            "scale of the data and of `lams`."
+        )
+    return best
 
 
 def _choice(fits: dict[float, tuple[RegressionMap, np.ndarray]]) -> float:
@@ -119,7 +126,9 @@ def _choice(fits: dict[float, tuple[RegressionMap, np.ndarray]]) -> float:
 
 
 def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """The largest tenth cut to the ninth decile."""
+    """The largest tenth cut to the ninth decile; all infinite where one is."""
+    if not np.all(np.isfinite(errors)):
+        return np.full_like(errors, np.inf)
     return np.minimum(errors, np.quantile(errors, 0.9))
 
 

@@ -79,8 +79,8 @@ def minimise(
     stage = stage_of(problem, lam, gauge(problem), method, w0)
     if cloud:
         # the patches are wrong by more than this, and exact Hessians dear
-        coarse = (jnp.maximum(newton.rtol, PATCH_RTOL), 0.0)
-        newton = eqx.tree_at(lambda n: (n.rtol, n.near), newton, coarse)
+        coarse = (jnp.maximum(newton.rtol, PATCH_RTOL), 0.0, False)
+        newton = eqx.tree_at(lambda n: (n.rtol, n.near, n.certify), newton, coarse)
         w, total, result, stats = _rounds(newton, stage, w0, max_steps)
     else:
         w, total, result, stats = _newton_solve(newton, stage, w0, max_steps)

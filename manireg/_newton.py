@@ -232,6 +232,7 @@ class Newton(optx.AbstractMinimiser):
         stats = {
             "num_newton_steps": state.num_accepted_steps,
             "num_trials": state.num_trials,
+            "decrease": last.decrease,
             "objective": jnp.where(last.done, last.f_info.f - last.decrease, best.f),
         }
         # at the end the full Newton step is known already: take it

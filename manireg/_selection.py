@@ -207,10 +207,13 @@ def _advance(lane, shared):
     fold = _fold(problem, inside)
     w, _, _, result, _ = minimise(fold, lam, start, "projected", newton, max_steps)
     converged = result == optx.RESULTS.successful
+    # a fit that ends in no numbers is no start for the next
+    w = jnp.where(jnp.all(jnp.isfinite(w)), w, place.w)
     secant = (w - place.w) / jnp.where(gap == 0, jnp.inf, gap)
     slope = jnp.where(converged, secant, 0.0)
     place = _Place(jnp.log(lam), w, slope)
-    return place, _score(problem, inside, w), converged
+    score = jnp.nan_to_num(_score(problem, inside, w), nan=jnp.inf)
+    return place, score, converged
 
 
 def _fold(problem: Problem, inside) -> Problem:

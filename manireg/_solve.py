@@ -29,6 +29,10 @@ from .manifolds import AbstractManifold
 
 STARTS = (1.0, 1e-2)
 ON_THE_WAY = 1e-3  # relative decrease at which Newton stops there
+CURE = (
+    "Try another `lam`, more `starts` such as (1.0, 0.01, 0.0001), or `warm`, the "
+    "coefficients of a fit with a `lam` next to it; `throw=False` returns the map as it is."
+)
 
 
 class RegressionMap(eqx.Module):
@@ -169,11 +173,30 @@ def solve(
         rtol,
         max_steps,
     )
-    if not throw:
-        return model
+    return checked(model, max_steps) if throw else model
+
+
+def checked(model: RegressionMap, max_steps: int) -> RegressionMap:
+    """The model, if Newton converged.
+
+    **Raises** RuntimeError that says how far it came and what may help; of a traced model
+    a run-time error."""
     failed = model.result != optx.RESULTS.successful
-    w = model.result.error_if(model.coefficients, failed)
-    return eqx.tree_at(lambda m: m.coefficients, model, w)
+    if not is_concrete(failed):
+        message = f"fit: Newton did not converge within max_steps = {max_steps}. {CURE}"
+        w = eqx.error_if(model.coefficients, failed, message)
+        return eqx.tree_at(lambda m: m.coefficients, model, w)
+    if failed:
+        steps, energies = int(model.stats["num_steps"]), model.energies
+        total = float(energies.loss + model.lam * energies.eells)
+        raise RuntimeError(
+            f"fit: Newton did not converge for lam = {float(model.lam):.4g}. The lowest "
+            f"map of all starts has the objective {total:.6g} (root mean square residual "
+            f"{float(energies.loss) ** 0.5:.3g}) after {steps} steps (max_steps = "
+            f"{max_steps}); the next one promised {float(model.stats['decrease']):.2g} "
+            f"less. {CURE}"
+        )
+    return model
 
 
 def _check_options(problem: Problem, method, starts, warm, max_steps: int):
