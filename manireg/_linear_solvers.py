@@ -10,6 +10,7 @@ import lineax as lx
 
 from ._cholesky import AbstractDirect, BandCholesky, DenseCholesky, SparseCholesky
 
+FLAT = 1e-8  # curvature, in units of the model's, that is rounding
 SHIFTS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # times the model, by `LeastShift`
 
 
@@ -17,8 +18,9 @@ class ModelCG(AbstractDirect):
     """Conjugate gradients for an operator that may be indefinite (the exact Hessian),
     preconditioned by the factor of its positive definite `model`. On surfaces a
     factorisation is dear and LU ten times dearer; a dozen products and solves are not,
-    and the factor is that of an earlier Newton step. Where the curvature is negative it
-    ends, with `singular`; what it has found by then still points downhill."""
+    and the factor is that of an earlier Newton step. Where the curvature is negative by
+    more than rounding it ends, with `singular`; what it has found by then still points
+    downhill."""
 
     positive: SparseCholesky = SparseCholesky()
     rtol: float = 1e-8
@@ -36,25 +38,29 @@ class ModelCG(AbstractDirect):
         tolerance = self.rtol**2 * size
 
         def unfinished(carry):
-            *_, size, curved, steps = carry
-            return (size > tolerance) & curved & (steps < self.max_steps)
+            *_, size, _, flat, _, steps = carry
+            return (size > tolerance) & ~flat & (steps < self.max_steps)
 
         def improve(carry):
-            x, r, p, size, _, steps = carry
+            x, r, p, size, in_model, _, _, steps = carry
             product = operator.mv(p)
             curvature = jnp.sum(p * product)
+            flat = curvature <= FLAT * in_model
             # the first direction alone is downhill in any case
-            length = jnp.where(curvature > 0, size / curvature, 1.0 * (steps == 0))
+            length = jnp.where(flat, 1.0 * (steps == 0), size / curvature)
             x, r = x + length * p, r - length * product
             z = precondition(r)
             new_size = jnp.sum(r * z)
-            return x, r, z + new_size / size * p, new_size, curvature > 0, steps + 1
+            share = new_size / size
+            bent = curvature < -FLAT * in_model
+            in_model = new_size + share**2 * in_model  # p^T M p, of the next p
+            return x, r, z + share * p, new_size, in_model, flat, bent, steps + 1
 
-        start = (jnp.zeros_like(vector), vector, z, size, jnp.array(True), 0)
-        x, _, _, size, curved, _ = jax.lax.while_loop(unfinished, improve, start)
-        converged = curved & (size <= tolerance)
-        result = lx.RESULTS.where(converged, lx.RESULTS.successful, lx.RESULTS.singular)
-        return x, result, {}
+        no = jnp.array(False)
+        start = (jnp.zeros_like(vector), vector, z, size, size, no, no, 0)
+        x, *_, bent, _ = jax.lax.while_loop(unfinished, improve, start)
+        successful, singular = lx.RESULTS.successful, lx.RESULTS.singular
+        return x, lx.RESULTS.where(bent, singular, successful), {}
 
 
 class LeastShift(AbstractDirect):

@@ -31,7 +31,7 @@ STARTS = (1.0, 1e-2)
 ON_THE_WAY = 1e-3  # relative decrease at which Newton stops there
 CURE = (
     "Try another `lam`, more `starts` such as (1.0, 0.01, 0.0001), or `warm`, the "
-    "coefficients of a fit with a `lam` next to it; `throw=False` returns the map as it is."
+    "coefficients of a fit with a `lam` next to it; `throw=False` gives the map as it is."
 )
 
 
