@@ -7,6 +7,7 @@ minimiser stays where it is.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -59,7 +60,7 @@ class BandCholesky(AbstractDirect):
     makes the operator positive definite to rounding; where none does, the solution is not
     a number."""
 
-    def init(self, operator: SparseSymmetric, options):
+    def init(self, operator: Any, options):
         del options
         pattern, blocks = operator.pattern, operator.blocks
         shape = (pattern.centres, pattern.band, *blocks.shape[1:])
@@ -84,7 +85,7 @@ class BandCholesky(AbstractDirect):
 class DenseCholesky(AbstractDirect):
     """The same of a whole matrix."""
 
-    def init(self, operator: SparseSymmetric, options):
+    def init(self, operator, options):
         del options
         return _dense(operator)
 

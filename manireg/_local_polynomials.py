@@ -51,7 +51,8 @@ class LocalPolynomials(eqx.Module):
         return _exponents(self.dim, self.centres.shape[1], self.degree)
 
 
-DEPENDENT = 1e-6  # share of a monomial that those before it leave: less is rounding
+DEPENDENT = 1e-6  # what those before leave of a monomial, a number below 1: less may be
+# rounding, as of the normal coordinate on a plane, and stays small
 
 
 def local_polynomials(
@@ -90,13 +91,13 @@ def _orthonormal(centres, frames, widths, exponents, points) -> np.ndarray:
         weight = np.maximum(1 - np.sum(offset**2, axis=1), 0) ** 6
         local = offset @ frames[i]
         values = np.stack([np.prod(local**e, axis=1) for e in exponents], axis=1)
-        triangle = np.linalg.qr(np.sqrt(weight / len(own))[:, None] * values, "r")
+        weighted = np.sqrt(weight / max(len(own), 1))[:, None] * values
+        # with fewer points than monomials the last ones stay as they are
+        triangle = np.linalg.qr(np.pad(weighted, ((0, len(exponents)), (0, 0))))[1]
         diagonal = np.arange(len(exponents))
-        size = np.linalg.norm(triangle, axis=0)
         own_part = triangle[diagonal, diagonal]
-        least = np.where(size > 0, DEPENDENT * size, 1.0)
         sign = np.where(own_part < 0, -1.0, 1.0)
-        triangle[diagonal, diagonal] = sign * np.maximum(np.abs(own_part), least)
+        triangle[diagonal, diagonal] = sign * np.maximum(np.abs(own_part), DEPENDENT)
         mixing[i] = np.linalg.inv(triangle)
     return mixing
 

@@ -107,8 +107,10 @@ def regression_map(
     problem: Problem, w: Float[Array, "KC t"], lam, energies, result, stats
 ) -> RegressionMap:
     """The map with coefficients `w`."""
-    parts = problem.source, problem.target, problem.basis, problem.origin
-    return RegressionMap(*parts, w, lam, energies, result, stats)
+    source, target, basis = problem.source, problem.target, problem.basis
+    return RegressionMap(
+        source, target, basis, problem.origin, w, lam, energies, result, stats
+    )
 
 
 def solve(

@@ -1,3 +1,4 @@
+import gc
 import os
 
 import jax
@@ -10,6 +11,15 @@ FLAGS = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", FLAGS)
 jax.config.update("jax_enable_x64", True)
 matplotlib.use("Agg")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forget_programs():
+    """Each compiled program takes dozens of memory maps, of which the kernel allows
+    65,530 to a process: too few for all files."""
+    yield
+    jax.clear_caches()
+    gc.collect()
 
 
 @pytest.fixture

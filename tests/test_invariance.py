@@ -61,14 +61,16 @@ SLOW = {
 }
 
 
-def cases():
-    for name in TARGETS:
-        yield pytest.param(name, id=name)
-    for name in SLOW:
-        yield pytest.param(name, id=name, marks=pytest.mark.slow)
+QUICK = ("Euclidean", "Sphere", "Cylinder", "SPD", "Poses", "line", "circle", "sphere")
 
 
-@pytest.mark.parametrize("name", list(cases()))
+def slow_but(names):
+    """The others are slow."""
+    mark = lambda name: () if name in QUICK else pytest.mark.slow
+    return [pytest.param(name, id=name, marks=mark(name)) for name in names]
+
+
+@pytest.mark.parametrize("name", slow_but([*TARGETS, *SLOW]))
 def test_targets(name):
     build, shift = {**TARGETS, **SLOW}[name]
     target = build(1.0)
@@ -114,7 +116,7 @@ SOURCES = {
 }
 
 
-@pytest.mark.parametrize("name", SOURCES)
+@pytest.mark.parametrize("name", slow_but(SOURCES))
 def test_sources(name):
     build, x = SOURCES[name]
     m = build(1.0).dim

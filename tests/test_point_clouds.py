@@ -1,5 +1,6 @@
 """Surfaces known by points and normals, against the surfaces they were taken from."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
