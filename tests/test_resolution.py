@@ -175,6 +175,7 @@ def test_clusters_on_other_sources(name):
     assert np.sum(np.asarray(quadrature.weights) < 0) == 0
 
 
+@pytest.mark.slow
 def test_scattered_cluster():
     """No chart: Voronoi volumes."""
     source = mr.Stiefel(3, 1)
