@@ -241,9 +241,8 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
         problem, lam, warm = eqx.combine(arrays, rest)
         lanes = [starts_of(problem, lam, starts, method, solvers)] if starts else []
         lanes += [] if warm is None else [(warm[None], lam[None])]
-        follow = lambda lane: _followed(
-            problem, lam, *lane, method, solvers, rtol, max_steps
-        )
+        options = method, solvers, rtol, max_steps
+        follow = lambda lane: _followed(problem, lam, lane, *options)
         lanes = jax.tree.map(lambda *parts: jnp.concatenate(parts), *lanes)
         candidates = jax.lax.map(follow, lanes)
         best = jnp.argmin(jnp.nan_to_num(candidates[2], nan=jnp.inf))
@@ -256,9 +255,10 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     return regression_map(problem, w, lam, energies, result, stats)
 
 
-def _followed(problem, lam, w, first, method, solvers, rtol, max_steps):
-    """From `w` to the minimum at `first`, and on to the one at `lam` in a few steps of at
-    most a factor of `STRIDE`."""
+def _followed(problem, lam, lane, method, solvers, rtol, max_steps):
+    """From a start to the minimum at its first lambda, and on to the one at `lam` in a few
+    steps of at most a factor of `STRIDE`. `lane`: coefficients, first lambda."""
+    w, first = lane
 
     def solve_at(now, w):
         last = now >= lam
