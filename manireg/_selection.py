@@ -18,7 +18,7 @@ from ._precision import check_x64
 from ._problem import Problem, make_problem, psi_at_data
 from ._solve import RegressionMap, solve
 from ._sources import Source, sampled_dim
-from ._starts import free_solution
+from ._starts import starts_of
 from ._sweep import sweep
 from ._wavelengths import anchor, lambda_of_wavelength, mean_spacing
 from .manifolds import AbstractManifold
@@ -193,7 +193,8 @@ class _Place(eqx.Module):
 
 def _start(inside: Bool[Array, " k"], shared) -> _Place:
     lam, problem, solvers, _ = shared
-    w = free_solution(_fold(problem, inside), lam, solvers)
+    fold = _fold(problem, inside)
+    w = starts_of(fold, lam, (1.0,), "projected", solvers)[0][0]
     return _Place(jnp.log(lam), w, jnp.zeros_like(w))
 
 
