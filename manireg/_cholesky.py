@@ -78,7 +78,7 @@ class BandCholesky(AbstractDirect):
             regular = columns.at[:, 0].add(ridge * size * jnp.eye(m))
             return solve_banded(regular, rhs)
 
-        solution = jnp.swapaxes(_with_least_ridge(solve, rhs), 1, 2)
+        solution = jnp.swapaxes(first_finite(solve, RIDGES, rhs)[0], 1, 2)
         return solution.reshape(vector.shape), lx.RESULTS.successful, {}
 
 
@@ -97,23 +97,26 @@ class DenseCholesky(AbstractDirect):
             factor = jnp.linalg.cholesky(matrix + ridge * jnp.eye(len(matrix)))
             return jax.scipy.linalg.cho_solve((factor, True), rhs)
 
-        solution = _unflat(scale, vector, _with_least_ridge(solve, rhs))
+        solution = _unflat(scale, vector, first_finite(solve, RIDGES, rhs)[0])
         return solution, lx.RESULTS.successful, {}
 
 
-def _with_least_ridge(solve: Callable, like: Array) -> Array:
-    """`solve` of the first of `RIDGES` that gives numbers."""
-    ridges = jnp.array(RIDGES)
+def first_finite(
+    solve: Callable, amounts: tuple[float, ...], like: Array
+) -> tuple[Array, Array]:
+    """`solve` of the first of `amounts` that gives numbers, and how many were tried."""
+    each = jnp.array(amounts)
 
     def attempt(carry):
         _, tries = carry
-        return solve(ridges[tries]), tries + 1
+        return solve(each[tries]), tries + 1
 
     def indefinite(carry):
         x, tries = carry
-        return (tries < len(RIDGES)) & ~jnp.all(jnp.isfinite(x))
+        return (tries < len(amounts)) & ~jnp.all(jnp.isfinite(x))
 
-    return jax.lax.while_loop(indefinite, attempt, (jnp.full_like(like, jnp.nan), 0))[0]
+    start = (jnp.full_like(like, jnp.nan), jnp.array(0))
+    return jax.lax.while_loop(indefinite, attempt, start)
 
 
 def _sparse(operator: lx.AbstractLinearOperator) -> SparseSymmetric:

@@ -8,7 +8,13 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 
-from ._cholesky import AbstractDirect, BandCholesky, DenseCholesky, SparseCholesky
+from ._cholesky import (
+    AbstractDirect,
+    BandCholesky,
+    DenseCholesky,
+    SparseCholesky,
+    first_finite,
+)
 
 FLAT = 1e-8  # curvature, in units of the model's, that is rounding
 SHIFTS = (0.0, 0.1, 1.0, 10.0)  # times the model, by `LeastShift`
@@ -77,21 +83,14 @@ class LeastShift(AbstractDirect):
 
     def compute(self, state, vector, options):
         exact, model = state
-        shifts = jnp.array(self.shifts)
 
-        def attempt(carry):
-            _, tries = carry
-            blocks = exact.blocks + shifts[tries] * model.blocks
+        def solve(shift):
+            blocks = exact.blocks + shift * model.blocks
             operator = eqx.tree_at(lambda o: o.blocks, exact, blocks)
             factor = self.positive.init(operator, options)
-            return self.positive.compute(factor, vector, options)[0], tries + 1
+            return self.positive.compute(factor, vector, options)[0]
 
-        def indefinite(carry):
-            x, tries = carry
-            return (tries < len(self.shifts)) & ~jnp.all(jnp.isfinite(x))
-
-        start = (jnp.full_like(vector, jnp.nan), 0)
-        x, tries = jax.lax.while_loop(indefinite, attempt, start)
+        x, tries = first_finite(solve, self.shifts, vector)
         successful, singular = lx.RESULTS.successful, lx.RESULTS.singular
         return x, lx.RESULTS.where(tries == 1, successful, singular), {}
 

@@ -92,7 +92,7 @@ def _orthonormal(centres, frames, widths, exponents, points) -> np.ndarray:
         local = offset @ frames[i]
         values = np.stack([np.prod(local**e, axis=1) for e in exponents], axis=1)
         weighted = np.sqrt(weight / max(len(own), 1))[:, None] * values
-        # with fewer points than monomials the last ones stay as they are
+        # rows of zeros: there may be fewer points than monomials
         triangle = np.linalg.qr(np.pad(weighted, ((0, len(exponents)), (0, 0))))[1]
         diagonal = np.arange(len(exponents))
         own_part = triangle[diagonal, diagonal]
