@@ -121,6 +121,9 @@ def main():
     numbers = options.shapes or range(len(SHAPES))
     each = -(-options.problems // len(SHAPES))
     rows = []
+    file = options.out.open("w", newline="", buffering=1)  # a long run, kept as it goes
+    table = csv.writer(file)
+    table.writerow((*COLUMNS, *MORE))
     for number in numbers:
         source, target, k = SHAPES[number]
         rng = np.random.default_rng((options.seed, number))
@@ -134,6 +137,7 @@ def main():
             row = (source, target, k, round(decade - middle, 2), noise, part, success)
             steps = int(model.stats["num_steps"])
             rows.append((*row, steps, f, gradient, curvature))
+            table.writerow(rows[-1])
         tried = [row for row in rows if row[:3] == (source, target, k)]
         failed = sum(not row[6] for row in tried)
         false = sum(is_false(row) for row in tried)
@@ -143,8 +147,7 @@ def main():
             f"{false} false, steps {steps[0]:.0f} / {steps[1]:.0f}",
             flush=True,
         )
-    with options.out.open("w", newline="") as file:
-        csv.writer(file).writerows([(*COLUMNS, *MORE), *rows])
+    file.close()
     steps = np.quantile([row[7] for row in rows], [0.5, 0.99])
     failed = np.mean([not row[6] for row in rows])
     print(
