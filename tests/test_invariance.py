@@ -124,7 +124,7 @@ def test_sources(name):
 
     def values(scale, origin=0.0):
         there = scale * x + origin
-        problem = mr.make_problem(build(scale), mr.Euclidean(1), there, y, centres=30)
+        problem = mr.make_problem(build(scale), mr.Euclidean(1), there, y, centres=50)
         return np.asarray(mr.solve(problem, LAM * scale ** (4 - m))(there))
 
     here = values(1.0)
