@@ -6,10 +6,10 @@ import numpy as np
 import sparsax
 from _timing import first_and_best
 
-from manireg._cholesky import SparseCholesky
-from manireg._hessian import gauss_newton
-from manireg._linear_solvers import direct_solvers
-from manireg._objective import Stage, objective
+from manireg._algebra.cholesky import SparseCholesky
+from manireg._objective.hessian import gauss_newton
+from manireg._objective.objective import Stage, objective
+from manireg._solver.linear import direct_solvers
 
 
 @eqx.filter_jit

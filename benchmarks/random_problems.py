@@ -20,10 +20,10 @@ import optimistix as optx
 import scipy.linalg as sl
 
 import manireg as mr
-from manireg._hessian import exact
-from manireg._minimise import gauge, stage_of
-from manireg._objective import objective
-from manireg._wavelengths import anchor
+from manireg._objective.hessian import exact
+from manireg._objective.objective import objective
+from manireg._objective.wavelengths import anchor
+from manireg._solver.minimise import gauge, stage_of
 
 SOURCES = {
     "interval": mr.Interval(0.0, 1.0),

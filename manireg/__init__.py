@@ -9,26 +9,26 @@ from . import (
     meshes as meshes,
     plot as plot,
 )
-from ._domain import Domain as Domain
-from ._energy import (
+from ._discretisation.domain import Domain as Domain
+from ._geodesics.geodesic import Geodesic as Geodesic, geodesic as geodesic
+from ._objective.energy_of_map import (
     eells_energy as eells_energy,
     thin_plate_energy as thin_plate_energy,
 )
-from ._fit import fit as fit
-from ._geodesic import Geodesic as Geodesic, geodesic as geodesic
-from ._leave_one_out import leave_one_out as leave_one_out
-from ._objective import Energies as Energies
-from ._problem import Problem as Problem, make_problem as make_problem
-from ._register import Registration as Registration, register as register
-from ._resolution import ResolutionWarning as ResolutionWarning
-from ._selection import (
+from ._objective.objective import Energies as Energies
+from ._objective.problem import Problem as Problem, make_problem as make_problem
+from ._objective.resolution import ResolutionWarning as ResolutionWarning
+from ._selection.cross_validate import (
     CrossValidation as CrossValidation,
     cross_validate as cross_validate,
     lambda_grid as lambda_grid,
 )
-from ._solve import RegressionMap as RegressionMap, solve as solve
-from ._sources import Ambient as Ambient, Box as Box, Interval as Interval
-from ._sweep import sweep as sweep
+from ._selection.fit import fit as fit
+from ._selection.leave_one_out import leave_one_out as leave_one_out
+from ._selection.sweep import sweep as sweep
+from ._solver.solve import RegressionMap as RegressionMap, solve as solve
+from ._sources.sources import Ambient as Ambient, Box as Box, Interval as Interval
+from ._surfaces.register import Registration as Registration, register as register
 from .manifolds import (
     AbstractManifold as AbstractManifold,
     Cylinder as Cylinder,

@@ -1,5 +1,5 @@
 """`python -m manireg`, the same as the command `manireg`."""
 
-from ._cli import main
+from ._cli.app import main
 
 main()

@@ -5,8 +5,8 @@ import jax
 import matplotlib
 import pytest
 
-# Most of a test is compilation: leave out XLA's optimisation, and its fusion emitters (half
-# of the rest) where the flag exists, as XLA dies of a flag it does not know.
+# Most of a test is compilation: leave out XLA's optimisation, and its fusion emitters
+# (half of the rest) where the flag exists: XLA dies of one it does not know.
 FLAGS = "--xla_backend_optimization_level=0"
 if jax.__version_info__ < (0, 11):
     FLAGS += " --xla_cpu_use_fusion_emitters=false"

@@ -2,6 +2,7 @@
 
 import numpy as np
 import trimesh
+from _rkhs_warp import rkhs_warp
 
 import manireg as mr
 from manireg.datasets import HeadPair as Task
@@ -58,13 +59,13 @@ def volume_spline(task: Task, kernel: str) -> np.ndarray:
     return warp.vertices
 
 
-def rkhs_warp(task: Task) -> np.ndarray:
+def warp(task: Task) -> np.ndarray:
     x = np.asarray(task.source.vertices)
     normals = np.asarray(task.source.vertex_normals)
-    warp = mr.baselines.rkhs_warp(
+    found = rkhs_warp(
         x, normals, x[task.source_landmarks], task.target_landmarks, _cloud(task)
     )
-    return warp.vertices
+    return found.vertices
 
 
 def nricp(task: Task, variant: str) -> np.ndarray:
@@ -92,7 +93,7 @@ METHODS = {
     "rbf_r2logr": lambda task: volume_spline(task, "thin_plate_spline"),
     "rbf_r": lambda task: volume_spline(task, "linear"),
     "free_solution": free_solution,
-    "rkhs_warp": rkhs_warp,
+    "rkhs_warp": warp,
     "manireg_tension": lambda task: register(task, "ambient"),
     "manireg_ambient": lambda task: register(task, "ambient", tension=0.0),
     "manireg_intrinsic": lambda task: register(task, "intrinsic"),

@@ -27,7 +27,7 @@ def run(options: Namespace) -> None:
     from _iteration import newton_iteration
 
     import manireg as mr
-    from manireg._minimise import gauge, stage_of
+    from manireg._solver.minimise import gauge, stage_of
 
     from .problems import PROBLEMS
 

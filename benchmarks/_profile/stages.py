@@ -10,14 +10,14 @@ from _iteration import best, newton_iteration
 from _timing import first_and_best
 
 import manireg as mr
-from manireg._domain import centres_of, discretise
-from manireg._hessian import exact, gauss_newton
-from manireg._jets import jets_of
-from manireg._linear_solvers import direct_solvers
-from manireg._minimise import gauge, stage_of
-from manireg._objective import objective
-from manireg._problem import pattern_of
-from manireg._starts import free_solution
+from manireg._discretisation.domain import centres_of, discretise
+from manireg._discretisation.jets import jets_of
+from manireg._objective.hessian import exact, gauss_newton
+from manireg._objective.objective import objective
+from manireg._objective.problem import pattern_of
+from manireg._solver.linear import direct_solvers
+from manireg._solver.minimise import gauge, stage_of
+from manireg._solver.starts import free_solution
 
 from .problems import Setup
 

@@ -2,13 +2,9 @@
 model fitted to the same data by the same rules of cross-validation."""
 
 from ._frechet import frechet_mean as frechet_mean
-from ._geodesic import (
+from ._geodesic_regression import (
     GeodesicRegression as GeodesicRegression,
     geodesic_regression as geodesic_regression,
-)
-from ._hard_constraint import (
-    HardConstraint as HardConstraint,
-    hard_constraint as hard_constraint,
 )
 from ._nadaraya_watson import (
     NadarayaWatson as NadarayaWatson,
@@ -18,7 +14,6 @@ from ._projected_thin_plate import (
     ProjectedThinPlate as ProjectedThinPlate,
     projected_thin_plate as projected_thin_plate,
 )
-from ._rkhs_warp import rkhs_warp as rkhs_warp
 from ._surface_warp import (
     SurfaceWarp as SurfaceWarp,
     held_out_errors as held_out_errors,

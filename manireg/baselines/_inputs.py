@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 from jaxtyping import Array, Float
 
-from .._checks import check_inputs
-from .._numbers import Numbers
-from .._precision import check_x64
-from .._sources import Source
+from .._input.numbers import Numbers
+from .._input.precision import check_x64
+from .._sources.checks import check_inputs
+from .._sources.sources import Source
 from ..manifolds import AbstractManifold
 
 

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray, ScalarLike
 
-from .._checks import check_data, check_grid, check_positive
-from .._folds import GRID, evaluated, held_out_error, training_sets
-from .._numbers import Numbers
-from .._precision import check_x64
-from .._sources import Source
+from .._input.numbers import Numbers
+from .._input.precision import check_x64
+from .._selection.folds import GRID, evaluated, held_out_error, training_sets
+from .._sources.checks import check_data, check_grid, check_positive
+from .._sources.sources import Source
 from ..manifolds import AbstractManifold
 from ._frechet import frechet_mean
 from ._inputs import check_choice, predicted

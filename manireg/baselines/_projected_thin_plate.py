@@ -5,16 +5,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from .._checks import check_lam, check_lams
-from .._folds import evaluated, held_out_error, training_sets
-from .._linear_solvers import DirectSolvers, direct_solvers
-from .._local_polynomials import LocalPolynomials
-from .._numbers import Numbers
-from .._problem import Problem, make_problem, psi_at_data
-from .._selection import lambda_grid
-from .._solve import evaluate
-from .._sources import Source
-from .._starts import free_solution
+from .._discretisation.local_polynomials import LocalPolynomials
+from .._input.numbers import Numbers
+from .._objective.problem import Problem, make_problem, psi_at_data
+from .._selection.cross_validate import lambda_grid
+from .._selection.folds import evaluated, held_out_error, training_sets
+from .._solver.linear import DirectSolvers, direct_solvers
+from .._solver.solve import evaluate
+from .._solver.starts import free_solution
+from .._sources.checks import check_lam, check_lams
+from .._sources.sources import Source
 from ..manifolds import AbstractManifold
 from ._inputs import check_choice, predicted
 

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from .. import _checks
-from .._folds import training_sets
-from .._numbers import Numbers, as_numbers
-from .._precision import check_x64
+from .._input.numbers import Numbers, as_numbers
+from .._input.precision import check_x64
+from .._selection.folds import training_sets
+from .._sources import checks
 from ..manifolds import PointCloud
 
 
@@ -67,7 +67,7 @@ def held_out_errors(
 
 def projected(target: PointCloud, points: np.ndarray) -> np.ndarray:
     check_x64(target)
-    return np.asarray(_checks.projected(target, jnp.asarray(points)))
+    return np.asarray(checks.projected(target, jnp.asarray(points)))
 
 
 # Checks
@@ -117,5 +117,5 @@ def checked_task(source_vertices, source_landmarks, target_landmarks, target):
         )
     vertices = checked_positions("source_vertices", source_vertices)
     x, y = checked_pairs(source_landmarks, target_landmarks)
-    _checks.check_landmarks("target_landmarks", target, y)
+    checks.check_landmarks("target_landmarks", target, y)
     return vertices, x, y

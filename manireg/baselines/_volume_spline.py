@@ -2,8 +2,8 @@
 
 from scipy.interpolate import RBFInterpolator
 
-from .._numbers import Numbers
-from .._precision import check_x64
+from .._input.numbers import Numbers
+from .._input.precision import check_x64
 from ..manifolds import PointCloud
 from ._surface_warp import SurfaceWarp, checked_task, surface_warp
 

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
-from .._precision import check_x64
+from .._input.precision import check_x64
 
 
 class LineOnSphere(eqx.Module):

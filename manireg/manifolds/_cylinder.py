@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
-from .._numerics import (
+from .._algebra.smooth import (
     across,
     cos_sinc,
     norm_squared,

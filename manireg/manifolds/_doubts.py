@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._base import AbstractManifold
+from ._matrices.spd import SymmetricPositiveDefinite
 from ._product import Product
-from ._spd import SymmetricPositiveDefinite
 
 
 @functools.singledispatch

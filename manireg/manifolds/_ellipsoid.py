@@ -7,11 +7,11 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
-from .._numerics import norm_squared
+from .._algebra.smooth import norm_squared
 from ._base import AbstractManifold
-from ._generic import broadcast_points, geodesic_exp
-from ._implicit import implicit_solution
-from ._shooting import shooting_log
+from ._defaults.implicit import implicit_solution
+from ._defaults.logarithm import shooting_log
+from ._defaults.second_form import broadcast_points, geodesic_exp
 
 
 class Ellipsoid(AbstractManifold):

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
-from .._numerics import norm_squared
+from .._algebra.small import eigh
+from .._algebra.smooth import norm_squared
 from ._base import AbstractManifold
-from ._generic import broadcast_points, geodesic_exp
-from ._implicit import implicit_solution
-from ._lapack import eigh
-from ._shooting import shooting_log
+from ._defaults.implicit import implicit_solution
+from ._defaults.logarithm import shooting_log
+from ._defaults.second_form import broadcast_points, geodesic_exp
 
 _STEP_SIZES = (1.0, 0.5, 0.2, 0.05)  # of Newton steps, tried at once
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
-from .._numerics import (
+from .._algebra.smooth import (
     across,
     cos_sinc,
     norm_squared,
@@ -67,7 +67,7 @@ class Sphere(AbstractManifold):
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$r^2 F(|p - q|^2 / r^2)$; near the cut locus (antipodes) continued linearly
-        in the squared chord, see `manireg._numerics.squared_angle`."""
+        in the squared chord, see `manireg._algebra.smooth.squared_angle`."""
         return squared_angle(norm_squared(p - q) / self.radius**2) * self.radius**2
 
     def exp(

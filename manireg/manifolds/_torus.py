@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
-from .._numerics import norm_squared, off_zero
+from .._algebra.smooth import norm_squared, off_zero
 from ._base import AbstractManifold
-from ._generic import geodesic_exp
-from ._shooting import shooting_log
+from ._defaults.logarithm import shooting_log
+from ._defaults.second_form import geodesic_exp
 
 
 class Torus(AbstractManifold):

@@ -1,0 +1,1 @@
+"""Numbers and matrices. Knows no geometry."""

@@ -1,0 +1,117 @@
+"""`manireg register`."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+import manireg as mr
+
+from .. import plot
+from ..datasets._text_tables import read_text_table
+from ..meshes import write_mesh
+from .columns import has, numbers
+from .errors import check_written, clean_errors
+from .report import print_rows
+
+
+def register(
+    source: Annotated[Path, typer.Argument(help="Mesh: PLY, OBJ, STL, ...")],
+    target: Annotated[Path, typer.Argument(help="Mesh to map it onto.")],
+    landmarks: Annotated[
+        Path,
+        typer.Option(
+            help="CSV with a row for each pair. Columns `source,target` hold vertex "
+            "numbers of the files (from 0), or `sx,sy,sz,tx,ty,tz` positions."
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(help="The registered mesh: source triangles on the target.")
+    ] = Path("registered.ply"),
+    picture: Annotated[
+        Path | None, typer.Option(help="Source, morph and distortion: PNG, PDF or SVG.")
+    ] = None,
+    morph: Annotated[
+        float | None,
+        typer.Option(help="Also write the morph at this share, 0.5 is half way."),
+    ] = None,
+    lam: Annotated[
+        float | None,
+        typer.Option(help="Lambda. Default: chosen by leaving out landmarks."),
+    ] = None,
+    geometry: Annotated[
+        list[str],
+        typer.Option(
+            help="`ambient` (stiff) or `intrinsic` (bends freely). Given twice: what "
+            "predicts left-out landmarks best."
+        ),
+    ] = ["ambient"],
+    centres: Annotated[
+        list[int], typer.Option(min=20, help="Local polynomials; several: as above.")
+    ] = [400],
+    tension: Annotated[
+        list[float],
+        typer.Option(
+            min=0,
+            help="Of the ambient energy; 0 where surfaces bend far. Several: as above.",
+        ),
+    ] = [1.0],
+) -> None:
+    """Map one scanned surface onto another from a few landmarks.
+
+    Example: `manireg register mean.ply anna.ply --landmarks pairs.csv --picture anna.png
+    --morph 0.5`. Every vertex of the source gets its place on the target. Meshes of 20,000
+    vertices take some minutes, most of them for the choice of lambda.
+    """
+    with clean_errors():
+        check_written(picture, out)
+        ours, theirs = _read_landmarks(landmarks)
+        start = time.perf_counter()
+        found = mr.register(
+            source,
+            target,
+            ours,
+            theirs,
+            lam,
+            geometry=geometry,
+            centres=centres,
+            tension=tension,
+        )
+        seconds = time.perf_counter() - start
+        written = [write_mesh(found.mesh(), out)]
+        if morph is not None:
+            path = out.with_stem(f"{out.stem}_morph")
+            written.append(write_mesh(found.mesh(morph), path))
+        if picture is not None:
+            plot.save(
+                plot.registration(found, 0.5 if morph is None else morph), picture
+            )
+            written.append(picture)
+        rows = {}
+        if found.cv is not None:
+            rows["lambda"] = f"{float(found.cv.lam):.3g} (landmarks left out)"
+            rows["error of a left-out landmark"] = f"{float(found.cv.score):.3g}"
+        errors = found.landmark_errors
+        rows["landmark errors"] = f"{errors.mean():.3g}, at most {errors.max():.3g}"
+        low, high = np.percentile(found.stretch(), [5, 95])
+        rows["area on target / source"] = f"{low:.2f} to {high:.2f} (90 %)"
+        rows["time"] = f"{seconds:.0f} s"
+        print_rows(rows, written)
+
+
+def _read_landmarks(file: Path):
+    table, option = read_text_table(file), "--landmarks"
+    if has(table, "source", "target"):
+        pairs = numbers(table, ["source", "target"], option)
+        whole = pairs.astype(int)
+        bad = np.flatnonzero(np.any(whole != pairs, axis=1))
+        if len(bad):
+            raise ValueError(
+                f"--landmarks: vertex numbers are whole, but row {bad[0] + 1} of {file} "
+                f"has {' and '.join(map(repr, pairs[bad[0]].tolist()))}."
+            )
+        return whole.T
+    both = numbers(table, ["sx", "sy", "sz", "tx", "ty", "tz"], option)
+    return both[:, :3], both[:, 3:]

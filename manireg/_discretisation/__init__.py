@@ -1,0 +1,1 @@
+"""The source made finite: centres, quadrature, basis, jets. Never sees the target."""

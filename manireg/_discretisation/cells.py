@@ -1,0 +1,104 @@
+"""Cells of a source that is covered by charts, halved until none is larger than a spacing
+that varies from place to place: centres and quadrature that follow the data."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from .._sources.charts import Atlas
+from .quadrature import Sample
+
+Spacing = Callable[[Float[np.ndarray, "n s"]], Float[np.ndarray, " n"]]
+BATCH = 512  # points embedded at a time: few shapes, few compilations
+FINER = 4  # cells a spacing that it is integrated over
+MIDPOINT = np.zeros(1), np.ones(1)
+
+
+class Cells(NamedTuple):
+    """Boxes of coordinates, each in one of the charts of an atlas."""
+
+    chart: Int[np.ndarray, " n"]
+    lower: Float[np.ndarray, "n m"]
+    upper: Float[np.ndarray, "n m"]
+
+
+def graded_cells(atlas: Atlas, spacing: Spacing, most: float = np.inf) -> Cells | None:
+    r"""Halved across their longest edge until it is no longer than $\sqrt2$ times the
+    spacing at the middle, so that their volumes are $h^m$ on average. None if that takes
+    more than `most`."""
+    cells = Cells(np.arange(len(atlas.lower)), atlas.lower, atlas.upper)
+    done, count = [], 0
+    while len(cells.chart):
+        points, jacobian = _embedded(atlas, cells, MIDPOINT)[:2]
+        edges = np.linalg.norm(jacobian, axis=1) * (cells.upper - cells.lower)
+        large = np.max(edges, axis=1) > np.sqrt(2) * spacing(points)
+        done.append(jax.tree.map(lambda a, keep=~large: a[keep], cells))
+        count += len(done[-1].chart)
+        if count + np.sum(large) > most:
+            return None
+        cells = _halved(
+            jax.tree.map(lambda a, keep=large: a[keep], cells),
+            np.argmax(edges[large], axis=1),
+        )
+    return jax.tree.map(lambda *a: np.concatenate(a), *done)
+
+
+def even_cells(atlas: Atlas, spacing: Spacing, most: float = np.inf) -> Cells | None:
+    """On a curve with one chart: the lengths themselves follow the spacing, h each; so
+    neighbours are about as long as each other."""
+    fine = graded_cells(atlas, lambda x: spacing(x) / FINER, FINER * 2 * most)
+    if fine is None:
+        return None
+    order = np.argsort(fine.lower[:, 0])
+    points, _, lengths = on_cells(atlas, fine)
+    passed = np.append(0.0, np.cumsum((lengths / spacing(np.asarray(points)))[order]))
+    n = max(3, round(passed[-1]))
+    if n > most:
+        return None
+    ends = np.append(fine.lower[order, 0], fine.upper[order[-1], 0])
+    ends = np.interp(np.linspace(0, passed[-1], n + 1), passed, ends)[:, None]
+    return Cells(np.zeros(n, dtype=int), ends[:-1], ends[1:])
+
+
+def _halved(cells: Cells, axis: Int[np.ndarray, " n"]) -> Cells:
+    row = np.arange(len(axis))
+    middle = 0.5 * (cells.lower[row, axis] + cells.upper[row, axis])
+    lower, upper = cells.lower.copy(), cells.upper.copy()
+    lower[row, axis], upper[row, axis] = middle, middle
+    return Cells(
+        np.tile(cells.chart, 2),
+        np.concatenate([cells.lower, lower]),
+        np.concatenate([upper, cells.upper]),
+    )
+
+
+def on_cells(atlas: Atlas, cells: Cells, rule=MIDPOINT) -> Sample:
+    """The product of a rule `(nodes, weights)` on [-1, 1], mean 1, in every cell."""
+    points, jacobian, weights = _embedded(atlas, cells, rule)
+    frames, triangle = np.linalg.qr(jacobian)
+    volume = np.abs(np.prod(np.diagonal(triangle, axis1=1, axis2=2), axis=1))
+    return points, frames, volume * weights
+
+
+def _embedded(atlas: Atlas, cells: Cells, rule):
+    """Points, derivatives of the chart and weights in coordinates."""
+    m = cells.lower.shape[1]
+    nodes = np.stack(np.meshgrid(*[rule[0]] * m, indexing="ij"), -1).reshape(-1, m)
+    weights = np.prod(np.stack(np.meshgrid(*[rule[1]] * m, indexing="ij")), axis=0)
+    half = 0.5 * (cells.upper - cells.lower)[:, None]
+    u = 0.5 * (cells.lower + cells.upper)[:, None] + half * nodes
+    volumes = np.prod(2 * half, axis=2)
+    labels = np.repeat(atlas.labels[cells.chart], len(nodes), axis=0)
+    u, n = u.reshape(-1, m), len(labels)
+    parts = []
+    for start in range(0, n, BATCH):
+        index = np.minimum(np.arange(start, start + BATCH), n - 1)
+        batch = jnp.asarray(u[index]), jnp.asarray(labels[index])
+        jacobian = jax.vmap(jax.jacfwd(atlas.embed))(*batch)
+        parts.append((np.asarray(jax.vmap(atlas.embed)(*batch)), np.asarray(jacobian)))
+    points, jacobian = (np.concatenate(a)[:n] for a in zip(*parts))
+    return points, jacobian, (volumes * weights.ravel()).ravel()

@@ -1,0 +1,220 @@
+"""Jets: value and derivatives of Psi as fixed linear functions of the coefficients.
+
+The jet of a map at x in M is (value, E_a-derivatives, intrinsic second derivatives), the
+Taylor coefficients of Psi(x + E u + II(u, u)/2) at u = 0. That curve agrees with the
+exponential map of M to second order, so the second derivatives are those of the paper's
+equation (6), in any codimension. Points are gathered in elements: those of one cell share
+the union of their centres, so assembly is one dense product a cell.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy.spatial import KDTree
+
+from .local_polynomials import COVERED, LocalPolynomials, basis_values
+
+IN_ELEMENT = 24  # points at most, half to all of it come out; on curves a spacing's
+STEP = 4  # centres; see `_padded`
+
+
+class Jets(eqx.Module):
+    """Linear maps from coefficients to jets, for Q points in e elements of p points."""
+
+    matrices: Float[Array, "e p J U"]
+    """J = 1 + m + m(m+1)/2 rows a point (or 1: values only); U basis functions an
+    element, zero where an element has fewer."""
+    columns: Int[Array, "e U"]
+    """Index of each basis function, negative for padding."""
+    index: Int[Array, "e p"]
+    """Which of the Q points this is; padding repeats the first of the element."""
+    mask: Float[Array, "e p"]
+    """1, or 0 for padding."""
+    buckets: tuple[tuple[int, int, int], ...] = eqx.field(static=True)
+    """Elements `start` to `stop` have at most U basis functions: `(start, stop, U)`."""
+
+
+def jet_values(jets: Jets, w: Float[Array, "KC t"]) -> Float[Array, "e p J t"]:
+    """Jets of the map with coefficients `w`."""
+    return jnp.einsum("epju,eut->epjt", jets.matrices, w[jets.columns])
+
+
+def in_order(jets: Jets, values: Float[Array, "e p t"], k: int) -> Float[Array, "k t"]:
+    """What the elements hold of k points, in the points' own order."""
+    values = values * jets.mask[:, :, None]
+    return jnp.zeros((k, values.shape[2])).at[jets.index].add(values)
+
+
+def bucket_centres(jets: Jets, functions: int) -> list[Int[np.ndarray, "_ _"]]:
+    """The centres of the elements of each bucket, negative for padding."""
+    near = np.asarray(jets.columns)[:, ::functions] // functions
+    return [near[start:stop, : U // functions] for start, stop, U in jets.buckets]
+
+
+def second_derivative_pairs(m: int) -> list[tuple[int, int]]:
+    """Order of the second derivatives in a jet: (0,0), (0,1), ..., (m-1,m-1)."""
+    return [(a, b) for a in range(m) for b in range(a, m)]
+
+
+def jets_of(
+    basis: LocalPolynomials,
+    points: Float[Array, "Q s"],
+    frames: Float[Array, "Q s m"],
+    second_forms: Float[Array, "Q m m s"],
+) -> Jets:
+    """Full jets of `basis` at `points`. Runs once, on the host."""
+    where = np.asarray(points)
+    cells = _nearest(basis, where) if basis.dim == 1 else _bisect(where, IN_ELEMENT)
+    index, mask, near = map(jnp.asarray, _elements(basis, where, cells))
+    matrices = _jet_rows(basis, points[index], frames[index], second_forms[index], near)
+    return Jets(matrices, _columns(basis, near), index, mask, _buckets(near, basis))
+
+
+def value_jets(
+    basis: LocalPolynomials, points: Float[Array, "Q s"], energy_jets: Jets
+) -> Jets:
+    """Values only. Shapes depend on the number of points and, as far as possible, on
+    `energy_jets`, not on where the points lie: new data reuse a compiled program."""
+    where = np.asarray(points)
+    cells = _bisect(where, max(1, len(points) // len(energy_jets.columns)))
+    overlap = energy_jets.columns.shape[1] // basis.size
+    index, mask, near = map(jnp.asarray, _elements(basis, where, cells, overlap))
+    matrices = _value_rows(basis, points[index], near)
+    columns = _columns(basis, near)
+    e, U = columns.shape
+    return Jets(matrices, columns, index, mask, ((0, e, U),))
+
+
+def centres_near(
+    basis: LocalPolynomials, points: Float[np.ndarray, "n s"]
+) -> Int[np.ndarray, "n L"]:
+    """The centres whose support holds each point; -1 is padding. Host."""
+    supported, centre = _supports(basis, points)
+    order = np.argsort(supported, kind="stable")
+    near = np.split(
+        centre[order], np.cumsum(np.bincount(supported, minlength=len(points)))
+    )
+    return _padded(near[:-1], [-1] * len(points), least=STEP)[0]
+
+
+def _supports(basis: LocalPolynomials, points: np.ndarray):
+    """Indices of points and centres, for every point in the support of a centre."""
+    radii = np.asarray(basis.widths) * (1 - 1e-12)
+    inside = KDTree(points).query_ball_point(np.asarray(basis.centres), radii)
+    supported = np.concatenate([np.asarray(own, dtype=int) for own in inside])
+    return supported, np.repeat(np.arange(len(radii)), [len(own) for own in inside])
+
+
+def _buckets(near, basis: LocalPolynomials) -> tuple[tuple[int, int, int], ...]:
+    e = len(near)
+    edges = np.linspace(0, e, 2 if e < 256 else 5).astype(int)
+    return tuple(
+        (int(start), int(stop), int(np.sum(near[stop - 1] >= 0)) * basis.size)
+        for start, stop in zip(edges[:-1], edges[1:])
+    )
+
+
+def _columns(basis: LocalPolynomials, near) -> Int[Array, "e U"]:
+    functions = near[:, :, None] * basis.size + jnp.arange(basis.size)
+    return functions.reshape(len(near), -1)
+
+
+@eqx.filter_jit
+def _value_rows(basis, points, near):
+    row = lambda x, near: basis_values(basis, x, near)[None]
+    return jax.vmap(jax.vmap(row, (0, None)))(points, near)
+
+
+@eqx.filter_jit
+def _jet_rows(basis, points, frames, second_forms, near):
+    m = frames.shape[-1]
+    pairs = second_derivative_pairs(m)
+
+    def rows(x, frame, form, near):
+        def along(u):
+            curve = x + frame @ u + 0.5 * jnp.einsum("a,b,abs->s", u, u, form)
+            return basis_values(basis, curve, near)
+
+        zero = jnp.zeros(m)
+        value, first = along(zero), jax.jacfwd(along)(zero)
+        second = jax.jacfwd(jax.jacfwd(along))(zero)
+        return jnp.stack(
+            [value, *first.T, *(second[:, a, b] for a, b in pairs)], axis=0
+        )
+
+    one_element = jax.vmap(rows, (0, 0, 0, None))
+    return jax.lax.map(lambda a: one_element(*a), (points, frames, second_forms, near))
+
+
+def _elements(
+    basis: LocalPolynomials,
+    points: np.ndarray,
+    cells: list[np.ndarray],
+    overlap: int = 0,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cells of neighbouring points, and the centres that reach each: index, mask and
+    centres (at least `overlap` places for them), elements with few centres first."""
+    element = np.zeros(len(points), dtype=int)
+    for e, cell in enumerate(cells):
+        element[cell] = e
+    supported, centre = _supports(basis, points)
+    offset = points[supported] - np.asarray(basis.centres)[centre]
+    q = np.sum(offset**2, axis=1) / np.asarray(basis.widths)[centre] ** 2
+    covers = np.bincount(supported, (1 - q) ** 6, minlength=len(points))
+    uncovered = np.sum(covers <= COVERED)
+    if uncovered:
+        raise ValueError(
+            f"centres: {uncovered} of {len(points)} points lie outside (or at the rim of) "
+            "the support of every centre (no cover); use more centres or larger widths."
+        )
+    K = len(basis.centres)
+    reaching, centre = np.divmod(np.unique(element[supported] * K + centre), K)
+    near = np.split(centre, np.searchsorted(reaching, np.arange(1, len(cells))))
+    order = sorted(range(len(cells)), key=lambda e: len(near[e]))
+    cells, near = [cells[e] for e in order], [near[e] for e in order]
+    index, filled = _padded(cells, [cell[0] for cell in cells])
+    centres, _ = _padded(near, [-1] * len(cells), overlap)
+    return index, filled.astype(float), centres
+
+
+def _nearest(basis: LocalPolynomials, points: np.ndarray) -> list[np.ndarray]:
+    """The points next to each centre: on a curve of equal spacings all of them have the
+    same centres near."""
+    centre = np.asarray(KDTree(np.asarray(basis.centres)).query(points)[1])
+    order = np.argsort(centre, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(centre[order])) + 1)
+
+
+def _bisect(points: np.ndarray, largest: int) -> list[np.ndarray]:
+    """Halves of halves across the widest direction, until none holds more than `largest`
+    points: how many cells there are depends on the number of points only."""
+
+    def halves(index):
+        if len(index) <= largest:
+            return [index]
+        axis = np.argmax(np.ptp(points[index], axis=0))
+        order = index[np.argsort(points[index, axis], kind="stable")]
+        half = len(index) // 2
+        return [*halves(order[:half]), *halves(order[half:])]
+
+    return halves(np.arange(len(points)))
+
+
+def _padded(rows, fill, least: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of equal length, each filled up with its `fill`; and what is not filling.
+    Beyond `least` lengths are multiples of `STEP`: few shapes, few compilations."""
+    lengths = np.array([len(row) for row in rows])
+    width = int(lengths.max(initial=1))
+    if least:
+        width = least if width <= least else _stepped(width)
+    inside = np.arange(width) < lengths[:, None]
+    table = np.repeat(np.array(fill, dtype=np.int32)[:, None], width, axis=1)
+    table[inside] = np.concatenate(rows)
+    return table, inside
+
+
+def _stepped(width: int) -> int:
+    """The next multiple of `STEP`."""
+    return -(-width // STEP) * STEP

@@ -1,0 +1,1 @@
+"""Shortest curves of any manifold."""

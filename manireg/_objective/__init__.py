@@ -1,0 +1,1 @@
+"""Where source and target meet. Start at `objective.py`."""

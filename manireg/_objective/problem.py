@@ -1,0 +1,244 @@
+"""Data and discretisation of one regression, analysed once on the host."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, ScalarLike
+
+from .._algebra.sparse import SparsityPattern, band_order, sparsity
+from .._discretisation.domain import Domain, centres_of, discretise
+from .._discretisation.following import follow
+from .._discretisation.jets import (
+    Jets,
+    bucket_centres,
+    in_order,
+    jet_values,
+    jets_of,
+    value_jets,
+)
+from .._discretisation.local_polynomials import LocalPolynomials, local_polynomials
+from .._discretisation.local_spacing import clustered_spacing
+from .._discretisation.spacing import local_spacings
+from .._input.numbers import Numbers
+from .._input.precision import check_x64
+from .._sources.checks import check_data, check_dimension, check_tension
+from .._sources.sources import Ambient, Source, sampled, sampled_dim
+from ..manifolds import AbstractManifold, PointCloud
+from .tension import Tension, tension_of
+
+DEFAULT_CENTRES = {1: (30, 100), 2: (50, 400), 3: (60, 400)}  # least and most
+CLUSTERED = 400  # at most, where the data cluster
+
+
+class Problem(eqx.Module):
+    """Built by `make_problem`, solved by `solve` for any lambda.
+
+    `y` and `weights` are leaves: replace them (`eqx.tree_at`) to solve for other outputs
+    or other folds with the same compiled program.
+    """
+
+    source: Source
+    target: AbstractManifold
+    basis: LocalPolynomials
+    energy_jets: Jets
+    """Value, first and intrinsic second derivatives at the quadrature points."""
+    free_jets: Jets
+    """The same with the ambient second derivative, for the free start: affine maps of the
+    ambient space then cost nothing. Equal to `energy_jets` on a flat source."""
+    energy_weights: Float[Array, "e p"]
+    data_jets: Jets
+    """Values at the data."""
+    x: Float[Array, "k s"]
+    y: Float[Array, "k t"]
+    weights: Float[Array, " k"]
+    origin: Float[Array, " t"]
+    """Psi = origin + A w: data far from zero cost no digits."""
+    pattern: SparsityPattern
+    energy_places: tuple[Int[Array, "_ _"], ...]
+    """For each bucket of elements, where its pairs of centres are in the pattern."""
+    data_places: tuple[Int[Array, "_ _"], ...]
+    tension: Tension | None
+    data_volume: Float[Array, ""]
+    """Of the part of the source that the data fill: less than `volume` where they
+    cluster."""
+
+    @property
+    def volume(self) -> Float[Array, ""]:
+        return jnp.sum(self.energy_weights)
+
+
+def psi_jets(problem: Problem, jets: Jets, w: Float[Array, "KC t"]):
+    """Jets of Psi = origin + A w, `(e, p, J, t)`."""
+    return jet_values(jets, w).at[:, :, 0].add(problem.origin)
+
+
+def psi_at_data(problem: Problem, w: Float[Array, "KC t"]) -> Float[Array, "k t"]:
+    """In the order of the data."""
+    values = psi_jets(problem, problem.data_jets, w)[:, :, 0]
+    return in_order(problem.data_jets, values, len(problem.y))
+
+
+def make_problem(
+    source: Source,
+    target: AbstractManifold,
+    x: Numbers,
+    y: Numbers,
+    *,
+    weights: Numbers | None = None,
+    centres: int | None = None,
+    degree: int | None = None,
+    width: float | None = None,
+    graded: bool = False,
+    tension: float = 0.0,
+) -> Problem:
+    r"""Discretise the regression of y on x.
+
+    **Arguments:**
+
+    - `source`: `Interval`, `Box` or a manifold, of dimension 3 at most: above, second
+      derivatives do not control values. Unbounded manifolds are cut to the bounding box
+      of `x`.
+    - `target`: a manifold.
+    - `x`: inputs `(k, *source.point_shape)`, in any order: arrays, lists, series or frames
+      of numbers, dates where points are plain numbers (see `Interval`), scipy's `Rotation`
+      for 3 x 3 rotations. Equal inputs are repeated measurements; for a pair given twice
+      its weights add.
+    - `y`: outputs `(k, *target.point_shape)`, on the target to 1e-6 of its reach (a cloud:
+      half a spacing), factor by factor in products.
+    - `weights`: `(k,)` of the squared errors, at least 0; default 1. Only ratios matter:
+      the loss is a weighted mean. Data of weight 0 are not fitted and not scored.
+    - `centres`: about how many local polynomials; default k within 30..100 on curves,
+      50..400 on surfaces, 60..400 above. More resolve finer detail; the cost grows with
+      them. They are spread evenly, unless the data cluster: if at least a twentieth of
+      them (and 4 to 9) lie five times as densely as on average over the source, and more
+      densely than the centres. Then centres and quadrature follow the data: their spacing
+      is that of the data nearby (a ball around a datum that holds eight others has eight
+      times the volume h^m), growing by 0.3 to 0.45 per distance away from them; by
+      default as many as that takes, up to 400, and with fewer all are farther apart by
+      the same factor. Lambda means the same. Not on point clouds (see `graded`) and on
+      products with a factor other than flat spaces, spheres, tori and cylinders: there a
+      `ResolutionWarning` in `solve` tells where more are needed.
+    - `degree`: of the local polynomials, at least 1; default 2, on `Ambient` sources 1
+      (linear in all directions).
+    - `width`: support radius of a local polynomial in units of the spacing
+      $(\mathrm{vol}(M)/K)^{1/m}$, on point clouds and where the centres follow the data
+      of their local spacing; default 2.5 on curves, 2.2 above, 1.5 on `Ambient` sources.
+    - `graded`: for point clouds: let resolution and smoothness follow the data. The
+      centres' spacing h grows like 1 + d/D with the distance d to the nearest input (D:
+      the mean of that distance among the inputs), and lambda in proportion to
+      $h^{4-m}$, so that bending within one spacing costs the same everywhere; its
+      mean stays `lam`. Energies are then integrals with that weight.
+    - `tension`: for `Ambient` sources: $\tau$ of the energy density
+      $|P D^2\Psi|^2 + \tau |P (D\Psi - A)|^2 / h^2$ with A the derivative of the affine
+      map that fits the data best and $h = D + d$ the spacing of the data (as above): a
+      spline in tension (Schweikert 1966; Franke 1985 in several dimensions), which does
+      not overshoot between data as one without does. At 1, stretching and bending over
+      one spacing cost the same. Default 0, the Eells energy alone. A and h stay those of
+      these data if `y` or `weights` are replaced.
+
+    **Raises** ValueError for float32 mode, wrong shapes, NaN, masked or missing entries,
+    points off the source or the target (reflections among rotations are named), too few
+    distinct inputs of positive weight, a source of dimension 4 or more, tension that is
+    negative or on a source that is not `Ambient`.
+    """
+    check_x64(source)
+    check_x64(target)
+    check_dimension(source)
+    check_tension(tension, source)
+    x, y, weights = check_data(source, target, x, y, weights)
+    m = sampled_dim(source)
+    if degree is None:
+        degree = 1 if isinstance(source, Ambient) else 2
+    if degree < 1:
+        raise ValueError(
+            f"degree: must be at least 1, found {degree}: affine maps have to cost "
+            "nothing."
+        )
+    if width is None:
+        flat = 1.5 if isinstance(source, Ambient) else 2.2
+        width = 2.5 if m == 1 else flat
+    nodes, spacing, domain, data_volume = _resolution(source, x, centres, graded)
+    basis = local_polynomials(nodes, width * spacing, degree, domain)
+    if m == 1:
+        order = band_order(np.asarray(basis.centres), np.asarray(basis.widths))
+        basis = jax.tree.map(lambda a: a[order], basis)
+    return assemble_problem(
+        source, target, basis, domain, x, y, weights, tension, data_volume
+    )
+
+
+def _resolution(source: Source, x, centres: int | None, graded: bool):
+    """Centres, the spacing around them, quadrature, and the volume that the data fill: all
+    of it, or where they cluster what they would fill at their median density."""
+    m = sampled_dim(source)
+    low, high = DEFAULT_CENTRES.get(m, DEFAULT_CENTRES[3])
+    n = int(np.clip(len(x), low, high)) if centres is None else centres
+    domain = discretise(source, n, x, graded)
+    volume = float(jnp.sum(domain.weights))
+    data = np.asarray(x)
+    spacing = None if graded else clustered_spacing(data, m, volume, n, low)
+    if spacing is not None:
+        most = CLUSTERED if centres is None else centres
+        followed = follow(source, spacing, most, x, finer=centres is not None)
+        if followed is not None:
+            nodes, h, quadrature = followed
+            return nodes, h, quadrature, spacing.data_volume
+    nodes = centres_of(source, n, x, graded)
+    if isinstance(sampled(source), PointCloud):
+        spacing = local_spacings(np.asarray(nodes.points), m)
+    else:
+        spacing = (volume / len(nodes.points)) ** (1 / m)
+    return nodes, spacing, domain, volume
+
+
+def assemble_problem(
+    source,
+    target,
+    basis,
+    domain: Domain,
+    x,
+    y,
+    weights,
+    tension: float = 0.0,
+    data_volume: ScalarLike | None = None,
+) -> Problem:
+    """The same from a basis and a quadrature of your own; inputs are not checked."""
+    if data_volume is None:
+        data_volume = jnp.sum(domain.weights)
+    energy_jets = jets_of(basis, domain.points, domain.frames, domain.second_forms)
+    free_jets = energy_jets
+    if np.any(np.asarray(domain.second_forms)):
+        flat = jnp.zeros_like(domain.second_forms)
+        free_jets = jets_of(basis, domain.points, domain.frames, flat)
+    data_jets = value_jets(basis, x, energy_jets)
+    pattern, energy_places, data_places = pattern_of(basis, energy_jets, data_jets)
+    return Problem(
+        source=source,
+        target=target,
+        basis=basis,
+        energy_jets=energy_jets,
+        free_jets=free_jets,
+        energy_weights=domain.weights[energy_jets.index] * energy_jets.mask,
+        data_jets=data_jets,
+        x=x,
+        y=y,
+        weights=weights,
+        origin=weights @ y / jnp.sum(weights),
+        pattern=pattern,
+        energy_places=energy_places,
+        data_places=data_places,
+        tension=tension_of(tension, energy_jets, domain.points, x, y, weights),
+        data_volume=jnp.asarray(data_volume),
+    )
+
+
+def pattern_of(basis: LocalPolynomials, energy_jets: Jets, data_jets: Jets):
+    """Pattern of the Hessian, and the places in it of the energy's and the data's
+    elements."""
+    energy, data = (bucket_centres(j, basis.size) for j in (energy_jets, data_jets))
+    supports = np.asarray(basis.centres), np.asarray(basis.widths)
+    pattern, places = sparsity(
+        [*energy, *data], *supports, basis.size, on_curve=basis.dim == 1
+    )
+    return pattern, places[: len(energy)], places[len(energy) :]

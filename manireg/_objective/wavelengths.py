@@ -1,0 +1,25 @@
+"""Lambda as a wavelength: a perturbation of wavelength l adds to loss and penalty alike at
+lambda = (l / 2 pi)^4 / V, V the volume that the data fill, whatever the target's scale."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._sources.sources import sampled_dim
+from .problem import Problem
+
+ANCHOR = 1.5  # wavelength, in spacings of the data, under which maps follow them
+
+
+def mean_spacing(problem: Problem):
+    """Of the data that have a weight, in the volume that they fill."""
+    k = jnp.sum(problem.weights > 0)
+    return (problem.data_volume / k) ** (1 / sampled_dim(problem.source))
+
+
+def lambda_of_wavelength(problem: Problem, wavelength):
+    return (wavelength / (2 * np.pi)) ** 4 / problem.data_volume
+
+
+def anchor(problem: Problem):
+    """The lambda where paths along lambda start."""
+    return lambda_of_wavelength(problem, ANCHOR * mean_spacing(problem))

@@ -1,0 +1,1 @@
+"""Which lambda: scores, grids, paths along lambda."""

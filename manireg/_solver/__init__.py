@@ -1,0 +1,1 @@
+"""From a problem and lambda to a map."""

@@ -1,0 +1,138 @@
+"""From start coefficients to a minimiser: on analytic targets one Newton solve (or the
+paper's penalty path), on point clouds a few, each on fixed patches."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float, ScalarLike
+
+from .._objective.hessian import exact, gauss_newton
+from .._objective.objective import Stage, objective
+from .._objective.patches import local_target, moved
+from .._objective.problem import Problem
+from .._sources.sources import Ambient
+from ..manifolds import PointCloud
+from .linear import DirectSolvers
+from .newton import Newton, add_counts
+from .penalty_path import penalty_path
+
+GAUGE = 0.1  # gamma vol(M) of the projected energy: holds Psi near N, costs 1e-4 of E
+AMBIENT_GAUGE = 10.0  # of the penalised one on ambient sources, in one stage
+ROUNDING = 32.0  # times what one rounding of every number in the residuals changes
+ROUNDS = 12  # Newton solves on a point cloud, each on the patches of the one before
+ROUND_STEPS = 4  # trial steps of each: more are lost when the patches change
+PATCH_RTOL = 1e-3  # relative decrease of the objective at which each stops
+SETTLED = 1e-2  # share of patches that may still change at the end
+
+Method = Literal["projected", "penalty"]
+
+
+def newton_minimiser(
+    solvers: DirectSolvers, rtol: ScalarLike, certify: ScalarLike = False
+) -> Newton:
+    return Newton(
+        rtol=rtol,
+        atol=0.0,
+        model_hessian=gauss_newton,
+        exact_hessian=exact,
+        certify=certify,
+        model_descent=optx.NewtonDescent(linear_solver=solvers.positive),
+        exact_descent=optx.NewtonDescent(linear_solver=solvers.indefinite),
+    )
+
+
+def gauge(problem: Problem) -> Float[Array, ""]:
+    """gamma of a solve in one stage."""
+    weight = AMBIENT_GAUGE if isinstance(problem.source, Ambient) else GAUGE
+    return weight / problem.volume
+
+
+def stage_of(problem: Problem, lam, gamma, method: Method, w) -> Stage:
+    """The objective near the map with coefficients `w`. Psi of an ambient source is a map
+    of the whole neighbourhood, which does not stay on N: its energy is that of Psi, not of
+    its projection."""
+    projected = method == "projected" and not isinstance(problem.source, Ambient)
+    return Stage(problem, lam, gamma, projected, local_target(problem, w))
+
+
+def minimise(
+    problem: Problem,
+    lam,
+    w0: Float[Array, "KC t"],
+    method: Method,
+    newton: Newton,
+    max_steps: int,
+):
+    """`(w, gamma, objective, result, stats)`."""
+    noise = ROUNDING * jnp.finfo(w0.dtype).eps * _residual_terms(problem, lam, w0)
+    newton = eqx.tree_at(
+        lambda n: (n.atol, n.noise), newton, (newton.atol + noise**2, noise)
+    )
+    cloud = isinstance(problem.target, PointCloud)
+    if method == "penalty":
+        if cloud:
+            raise ValueError("method: 'penalty' is for analytic targets; leave it out.")
+        return penalty_path(problem, lam, w0, newton, max_steps)
+    stage = stage_of(problem, lam, gauge(problem), method, w0)
+    if cloud:
+        # the patches are wrong by more than this, and exact Hessians dear
+        coarse = (jnp.maximum(newton.rtol, PATCH_RTOL), 0.0, False)
+        newton = eqx.tree_at(lambda n: (n.rtol, n.near, n.certify), newton, coarse)
+        w, total, result, stats = _rounds(newton, stage, w0, max_steps)
+    else:
+        w, total, result, stats = _newton_solve(newton, stage, w0, max_steps)
+    return w, stage.gamma, total, result, stats
+
+
+def _residual_terms(problem: Problem, lam, w: Float[Array, "KC t"]):
+    """Root mean square of the terms that residuals are sums of: coordinates in the loss,
+    in the energy products of coefficients and second derivatives of the basis."""
+    second = problem.energy_jets.matrices[:, :, 1 + problem.basis.dim :]
+    sums = jnp.sum(jnp.sum(jnp.abs(second), axis=-1) ** 2, axis=-1)
+    energy = lam * jnp.sum(problem.energy_weights * sums) * jnp.max(w**2)
+    return jnp.sqrt(jnp.mean(jnp.sum(problem.y**2, axis=1)) + energy)
+
+
+def _newton_solve(newton: Newton, stage: Stage, w, max_steps: int):
+    solution = optx.minimise(
+        objective, newton, w, stage, has_aux=True, max_steps=max_steps, throw=False
+    )
+    total = solution.stats["objective"]
+    return solution.value, total, solution.result, solution.stats
+
+
+def _rounds(newton: Newton, stage: Stage, w0, max_steps: int):
+    """Newton solves with the patches renewed in between, until hardly any change, of
+    `max_steps` trial steps in all."""
+    steps = min(ROUND_STEPS, max_steps)
+
+    def solve_round(rounds, w, local):
+        here = eqx.tree_at(lambda s: s.local, stage, local)
+        w, total, result, stats = _newton_solve(newton, here, w, steps)
+        renewed = local_target(stage.problem, w, local, rounds)
+        assert renewed is not None
+        share = moved(local, renewed)
+        done = (result == optx.RESULTS.successful) & (share <= SETTLED)
+        unsettled = optx.RESULTS.nonlinear_max_steps_reached
+        result = optx.RESULTS.where(done, optx.RESULTS.successful, unsettled)
+        return w, renewed, total, result, stats
+
+    def unfinished(carry):
+        rounds, _, _, _, result, stats = carry
+        allowed = (rounds < ROUNDS) & (stats["num_trials"] + steps <= max_steps)
+        return allowed & (result != optx.RESULTS.successful)
+
+    def next_round(carry):
+        rounds, w, local, _, _, before = carry
+        w, local, total, result, stats = solve_round(rounds + 1, w, local)
+        return rounds + 1, w, local, total, result, add_counts(stats, before)
+
+    first = solve_round(1, w0, stage.local)
+    carry = jax.tree.map(jnp.asarray, (1, *first))
+    rounds, w, _, total, result, stats = jax.lax.while_loop(
+        unfinished, next_round, carry
+    )
+    return w, total, result, {**stats, "num_rounds": rounds}

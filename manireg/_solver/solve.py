@@ -1,0 +1,303 @@
+"""From a problem and a lambda to a fitted map: starts, Newton, implicit derivatives."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from .._discretisation.jets import centres_near
+from .._discretisation.local_polynomials import (
+    COVERED,
+    LocalPolynomials,
+    basis_values,
+    cover,
+)
+from .._input.numbers import Numbers
+from .._input.precision import check_x64
+from .._objective.hessian import exact, gauss_newton
+from .._objective.objective import Energies, Stage, objective
+from .._objective.problem import Problem
+from .._objective.resolution import warn_where_coarse
+from .._sources.checks import check_inputs, check_lam, is_concrete, projected
+from .._sources.sources import Ambient, Source
+from ..manifolds import AbstractManifold
+from .linear import DirectSolvers, direct_solvers
+from .minimise import Method, minimise, newton_minimiser, stage_of
+from .newton import add_counts
+from .starts import STRIDE, starts_of
+
+STARTS = (1.0, 1e-2)
+ON_THE_WAY = 1e-3  # relative decrease at which Newton stops there
+CURE = (
+    "Try another `lam`, more `starts` such as (1.0, 0.01, 0.0001), or `warm`, the "
+    "coefficients of a fit with a `lam` next to it; `throw=False` gives the map as it is."
+)
+
+
+class RegressionMap(eqx.Module):
+    """A fitted map from `source` to `target`: call it on new points."""
+
+    source: Source
+    target: AbstractManifold
+    basis: LocalPolynomials
+    origin: Float[Array, " t"]
+    coefficients: Float[Array, "KC t"]
+    """Of the basis, for what comes to `origin`."""
+    lam: Float[Array, ""]
+    energies: Energies
+    result: optx.RESULTS
+    stats: dict[str, Any]
+
+    __hash__ = object.__hash__  # `jax.jit(model)` asks for one
+
+    def __call__(self, x: Numbers) -> Float[Array, "..."]:
+        """Values at `x`, `(n, *source.point_shape)`: `(n, *target.point_shape)`, on the
+        target. A single point, `(*source.point_shape)`, gives a single point, so
+        `jax.vmap`, `jax.jit` and `jax.grad` take the model as it is.
+
+        **Raises** ValueError for wrong shapes, NaN, points off the source, and for a model
+        that was unpickled in float32 mode; a run-time error (`equinox.error_if`) outside
+        the cover of the fitted map. Of traced `x` the values are not known: NaN and points
+        outside an `Interval`, a `Box` or the cover are run-time errors, too; whether they
+        lie on a curved source is not looked at: `source.project` them if in doubt.
+        """
+        check_x64(self.basis)
+        flat, single = check_inputs(self.source, x)
+        values, covered = evaluate(self.basis, self.coefficients, flat, self.origin)
+        values = eqx.error_if(
+            values,
+            ~covered,
+            "x: some points lie outside the support of every centre of the fitted map; "
+            "fit with inputs that cover them.",
+        )
+        points = projected(self.target, values.reshape(-1, *self.target.point_shape))
+        return points[0] if single else points
+
+
+def evaluate(
+    basis: LocalPolynomials,
+    w: Float[Array, "KC t"],
+    x: Float[Array, "n s"],
+    origin: Float[Array, " t"],
+) -> tuple[Float[Array, "n t"], Array]:
+    """Psi at `x`, before the projection to N; and whether all of `x` is covered. Traced
+    points are compared with all centres, others only with those near them."""
+    concrete = is_concrete(x, basis.centres, basis.widths)
+    near = jnp.asarray(centres_near(basis, np.asarray(x))) if concrete else None
+    return _evaluate(basis, w, x, origin, near)
+
+
+@eqx.filter_jit
+def _evaluate(basis, w, x, origin, near):
+    everywhere = jnp.arange(len(basis.centres))
+    w = w.reshape(len(basis.centres), basis.size, -1)
+
+    def one(x, near=everywhere):
+        values = basis_values(basis, x, near).reshape(len(near), -1)
+        psi = jnp.einsum("lc,lct->t", values, w[near])
+        return origin + psi, cover(basis, x, near) > COVERED
+
+    points = (x,) if near is None else (x, near)
+    values, covered = jax.lax.map(lambda point: one(*point), points, batch_size=256)
+    return values, jnp.all(covered)
+
+
+def regression_map(
+    problem: Problem, w: Float[Array, "KC t"], lam, energies, result, stats
+) -> RegressionMap:
+    """The map with coefficients `w`."""
+    source, target, basis = problem.source, problem.target, problem.basis
+    return RegressionMap(
+        source, target, basis, problem.origin, w, lam, energies, result, stats
+    )
+
+
+def solve(
+    problem: Problem,
+    lam: Numbers,
+    *,
+    method: Method | None = None,
+    starts: Sequence[float] = STARTS,
+    warm: Float[Array, "KC t"] | None = None,
+    rtol: float = 1e-12,
+    max_steps: int = 256,
+    linear_algebra: str = "auto",
+    throw: bool = True,
+) -> RegressionMap:
+    r"""Minimise (1/k) sum d^2(y_i, Psi(x_i)) + lam S(Psi) for a given lambda.
+
+    Works under `jit`, `vmap` over `lam` (or over leaves of `problem`) and `grad` with
+    respect to `lam`, `problem.y` and `problem.weights` (implicit differentiation with the
+    exact Hessian).
+
+    **Arguments:**
+
+    - `problem`: from `make_problem`.
+    - `lam`: lambda > 0, one number, exactly as in the formula; it has the unit of
+      length^{4-m} of the source.
+    - `method`: `"projected"` (the default, but on `Ambient` sources) minimises the Eells
+      energy of $\pi \circ \Psi$, with a weak pull of Psi towards N that fixes the gauge;
+      the result lies on N and no continuation is needed. `"penalty"` is the paper's:
+      energy with the projector at $\Psi$, plus $\gamma \int |\Psi - \pi\Psi|^2$ with gamma
+      raised in stages. Measured on curves on the sphere: same minimisers, a third of the
+      Newton steps. On `Ambient` sources Psi is a map of the whole neighbourhood, which
+      need not stay on N off the manifold, so `"projected"` is an error there, and the
+      default is the energy of `"penalty"` with one gamma, 10 / vol(M).
+    - `starts`: one a factor, the free (thin plate) solution at `lam * factor`, projected
+      onto N, or where its objective is lower and the factor at least 1 the spline of
+      logarithms; below 1 at no more than the lambda whose wavelength is 1.5 spacings of
+      the data, and followed up to `lam` from there. The lowest minimum is returned.
+    - `warm`: coefficients of a map fitted on the same problem, as one more start.
+    - `rtol`: relative decrease of the objective below which Newton stops; on a
+      `PointCloud` not less than 1e-3, as its patches are wrong by more.
+    - `max_steps`: trial steps allowed, at least 1. On a `PointCloud` those of all rounds,
+      each on the patches of the one before; at most 12 rounds of 4. There a fit is
+      `successful` if it met `rtol` and less than 1 % of the patches changed at the end.
+    - `linear_algebra`: `"sparse"` (CPU), `"dense"` (any device), `"auto"`.
+    - `throw`: raise if Newton fails; else look at `.result`.
+
+    **Raises** ValueError for float32 mode and arguments that are not as above.
+    **Warns** (`ResolutionWarning`) where the basis is coarser than data and lambda ask
+    for: more `centres` resolve more.
+    """
+    lam = check_lam(lam)
+    _check_options(problem, method, starts, warm, max_steps)
+    warn_where_coarse(problem, lam)
+    solvers = direct_solvers(linear_algebra, problem.basis.dim)
+    model = _solve(
+        problem,
+        lam,
+        tuple(starts),
+        warm,
+        method or "projected",
+        solvers,
+        rtol,
+        max_steps,
+    )
+    return checked(model, max_steps) if throw else model
+
+
+def checked(model: RegressionMap, max_steps: int) -> RegressionMap:
+    """The model, if Newton converged.
+
+    **Raises** RuntimeError that says how far it came and what may help; of a traced model
+    a run-time error."""
+    failed = model.result != optx.RESULTS.successful
+    if not is_concrete(failed):
+        message = f"fit: Newton did not converge within max_steps = {max_steps}. {CURE}"
+        w = eqx.error_if(model.coefficients, failed, message)
+        return eqx.tree_at(lambda m: m.coefficients, model, w)
+    if failed:
+        steps, energies = int(model.stats["num_steps"]), model.energies
+        total = float(energies.loss + model.lam * energies.eells)
+        raise RuntimeError(
+            f"fit: Newton did not converge for lam = {float(model.lam):.4g}. The lowest "
+            f"map of all starts has the objective {total:.6g} (root mean square residual "
+            f"{float(energies.loss) ** 0.5:.3g}) after {steps} steps (max_steps = "
+            f"{max_steps}); the next one promised {float(model.stats['decrease']):.2g} "
+            f"less. {CURE}"
+        )
+    return model
+
+
+def _check_options(problem: Problem, method, starts, warm, max_steps: int):
+    if method not in (None, "projected", "penalty"):
+        raise ValueError(
+            f"method: expected 'projected' or 'penalty', found {method!r}."
+        )
+    check_x64(problem)
+    if method == "projected" and isinstance(problem.source, Ambient):
+        raise ValueError(
+            "method: 'projected' is not defined on Ambient sources; leave it out, for the "
+            "energy of the map of the neighbourhood, or take 'penalty'."
+        )
+    if len(starts) == 0 and warm is None:
+        raise ValueError(
+            "starts: there is nothing to start from; give at least one factor, such as "
+            "1.0, or coefficients `warm`."
+        )
+    expected = (problem.pattern.size, problem.y.shape[1])
+    if warm is not None and jnp.shape(warm) != expected:
+        raise ValueError(
+            f"warm: expected coefficients {expected} of a map fitted on the same problem, "
+            f"found shape {jnp.shape(warm)}."
+        )
+    if max_steps < 1:
+        raise ValueError(f"max_steps: must be at least 1, found {max_steps}.")
+
+
+@eqx.filter_jit
+def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
+    fixed = jax.lax.stop_gradient(eqx.filter(problem, eqx.is_array))
+    fixed = eqx.combine(fixed, problem)
+    frozen_lam = jax.lax.stop_gradient(lam)
+    arrays, rest = eqx.partition((fixed, frozen_lam, warm), eqx.is_array)
+
+    # In lockstep all lanes of a vmap would wait for the slowest, and take both branches of
+    # every choice: measured, 2.3 times the time of a loop.
+    @jax.custom_batching.sequential_vmap
+    def lowest(arrays):
+        problem, lam, warm = eqx.combine(arrays, rest)
+        lanes = [starts_of(problem, lam, starts, method, solvers)] if starts else []
+        lanes += [] if warm is None else [(warm[None], lam[None])]
+        options = method, solvers, rtol, max_steps
+        follow = lambda lane: _followed(problem, lam, lane, *options)
+        lanes = jax.tree.map(lambda *parts: jnp.concatenate(parts), *lanes)
+        candidates = jax.lax.map(follow, lanes)
+        best = jnp.argmin(jnp.nan_to_num(candidates[2], nan=jnp.inf))
+        return jax.tree.map(lambda a: a[best], candidates)
+
+    w, gamma, _, result, stats = lowest(arrays)
+    stage = stage_of(problem, lam, gamma, method, jax.lax.stop_gradient(w))
+    w = _implicit(stage, w, solvers)
+    _, energies = objective(w, stage)
+    return regression_map(problem, w, lam, energies, result, stats)
+
+
+def _followed(problem, lam, lane, method, solvers, rtol, max_steps):
+    """From a start to the minimum at its first lambda, and on to the one at `lam` in a few
+    steps of at most a factor of `STRIDE`. `lane`: coefficients, first lambda."""
+    w, first = lane
+
+    def solve_at(now, w):
+        last = now >= lam
+        tolerance = jnp.where(last, rtol, jnp.maximum(rtol, ON_THE_WAY))
+        newton = newton_minimiser(solvers, tolerance, certify=last)
+        return minimise(problem, now, w, method, newton, max_steps)
+
+    def on_the_way(carry):
+        return carry[0] < lam
+
+    def go_on(carry):
+        now, (w, _, _, _, before) = carry
+        now = jnp.where(STRIDE * now < (1 - 1e-9) * lam, STRIDE * now, lam)
+        w, *rest, stats = solve_at(now, w)
+        return now, (w, *rest, add_counts(stats, before))
+
+    # the first lambda is that of a step taken from nowhere: one program serves all
+    shapes = jax.eval_shape(solve_at, lam, w)
+    nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+    start = (first / STRIDE, (w, *nothing[1:]))
+    return jax.lax.while_loop(on_the_way, go_on, start)[1]
+
+
+@eqx.filter_custom_jvp
+def _implicit(stage: Stage, w: Float[Array, "KC t"], solvers: DirectSolvers):
+    """`w`, with the derivative of a minimiser: dw = -H^{-1} d(grad E)."""
+    return w
+
+
+@_implicit.def_jvp
+def _(primals, tangents):
+    stage, w, solvers = primals
+    gradient = lambda stage: jax.grad(lambda w: objective(w, stage)[0])(w)
+    _, moved = eqx.filter_jvp(gradient, (stage,), (tangents[0],))
+    hessian = exact(w, stage, gauss_newton(w, stage))
+    # no `throw`: it would be a callback, and those neither run on every device nor cache
+    return w, -lx.linear_solve(hessian, moved, solvers.at_minimum, throw=False).value

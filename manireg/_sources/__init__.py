@@ -1,0 +1,1 @@
+"""What x can live on, and whether data lie there. Knows no quadrature."""

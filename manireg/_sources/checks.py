@@ -1,0 +1,220 @@
+"""Bad input is named here, once, at the public boundary: what was found, what to do."""
+
+import warnings
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .._input.numbers import Numbers, as_numbers, numbers_and_unit
+from .._input.shown import shown
+from ..manifolds import AbstractManifold, Euclidean, PointCloud, doubt
+from .membership import (
+    check_on,
+    described,
+    is_concrete as is_concrete,
+    outside,
+    projected as projected,
+)
+from .sources import Ambient, Box, Interval, Source, sampled, sampled_dim
+
+LARGEST_DIM = 3  # of a source: derivatives of order p control values where 2p > m
+
+
+def check_points(name: str, space: Source | AbstractManifold, points, count=None):
+    """`points` as a float64 array `(n, t)` of flattened points of `space`."""
+    return _checked(name, space, *_numbers_of(name, space, points), count)
+
+
+def _checked(name, space, points: np.ndarray, unit: str, count=None) -> np.ndarray:
+    shape = space.point_shape
+    if points.ndim != 1 + len(shape) or points.shape[1:] != shape:
+        raise ValueError(_wrong_shape(name, space, points.shape))
+    if count is not None and len(points) != count:
+        raise ValueError(
+            f"{name}: expected {count} points, one for each input, found {len(points)}."
+        )
+    flat = points.reshape(len(points), -1)
+    bad = np.flatnonzero(~np.all(np.isfinite(flat), axis=1))
+    if len(bad):
+        raise ValueError(
+            f"{name}: {len(bad)} of {len(points)} points hold NaN or infinity or are "
+            f"missing (first at index {bad[0]}); remove or impute them."
+        )
+    check_on(name, space, points, unit)
+    return flat
+
+
+def check_inputs(source: Source, x) -> tuple[Array, bool]:
+    """New inputs of a fitted model, flattened `(n, s)`, and whether they are a single
+    point. What can be told of traced ones at run time is: NaN, and the bounds of an
+    `Interval` or a `Box`."""
+    shape = source.point_shape
+    if is_concrete(x):
+        x, unit = _numbers_of("x", source, x)
+        single = x.shape == shape
+        x = x[None] if single else x
+        return jnp.asarray(_checked("x", source, x, unit)), single
+    x = jnp.asarray(x, float)
+    single = x.shape == shape
+    x = x[None] if single else x
+    if x.shape[1:] != shape or x.ndim != 1 + len(shape):
+        raise ValueError(_wrong_shape("x", source, x.shape))
+    flat = x.reshape(len(x), -1)
+    bad = ~jnp.all(jnp.isfinite(flat))
+    message = "x: some points hold NaN or infinity."
+    if isinstance(source, Box | Interval):
+        bad |= jnp.any(outside(source, flat))
+        message = f"x: some points lie outside {described(source)} or hold NaN."
+    return eqx.error_if(flat, bad, message), single
+
+
+def check_data(source: Source, target: AbstractManifold, x, y, weights):
+    """Flattened `x (k, s)`, `y (k, t)` projected onto the target, `weights (k,)`."""
+    if not isinstance(target, AbstractManifold):
+        raise ValueError(
+            f"target: expected a manireg manifold, found {type(target).__name__}."
+        )
+    check_source(source)
+    x = check_points("x", source, x)
+    y = check_points("y", target, y, count=len(x))
+    weights = _checked_weights(weights, len(x))
+    least = source.dim + 2
+    distinct = len(np.unique(x[weights > 0], axis=0))
+    if distinct < least:
+        of_weight = "" if np.all(weights > 0) else " of positive weight"
+        raise ValueError(
+            f"x: {distinct} distinct inputs{of_weight} are too few; a source of dimension "
+            f"{source.dim} needs at least {least}."
+        )
+    y = projected(target, jnp.asarray(y).reshape(-1, *target.point_shape))
+    if text := doubt(target, np.asarray(y)):
+        warnings.warn(f"y: {text}", stacklevel=3)
+    return jnp.asarray(x), y.reshape(len(x), -1), jnp.asarray(weights)
+
+
+def check_source(source: Source):
+    if not isinstance(source, Source):
+        raise ValueError(
+            "source: expected an Interval, a Box, an Ambient or a manifold, found "
+            f"{type(source).__name__}."
+        )
+
+
+def check_dimension(source: Source):
+    check_source(source)
+    m = sampled_dim(source)
+    if m > LARGEST_DIM:
+        raise ValueError(
+            f"source: {type(sampled(source)).__name__} has dimension {m}; energies of "
+            f"second derivatives have minimisers up to dimension {LARGEST_DIM}. Above, "
+            "narrow spikes go through any data at no cost. Take fewer inputs, or "
+            "manireg.baselines.nadaraya_watson."
+        )
+
+
+def check_landmarks(
+    name: str, surface: PointCloud, positions: np.ndarray
+) -> np.ndarray:
+    """The points of the surface closest to `positions`, which may lie up to a hundredth
+    of its size away."""
+    landed = np.asarray(projected(surface, jnp.asarray(positions)))
+    gap = np.linalg.norm(landed - positions, axis=1)
+    size = np.linalg.norm(np.ptp(np.asarray(surface.points), axis=0))
+    if gap.max() > 1e-2 * size:
+        raise ValueError(
+            f"{name}: landmark {gap.argmax()} lies {gap.max():.3g} off the surface, more "
+            f"than 1 % of its size ({size:.3g}). Wrong units or the wrong mesh?"
+        )
+    return landed
+
+
+def check_tension(tension: float, source: Source):
+    if not (np.isfinite(tension) and tension >= 0):
+        raise ValueError(f"tension: must be finite and at least 0, found {tension}.")
+    if tension and not isinstance(source, Ambient):
+        raise ValueError(
+            f"tension: only for `Ambient` sources, found {type(source).__name__}. Leave "
+            "it out, or take Ambient(source)."
+        )
+
+
+_LAM = (
+    "lambda must be positive and finite",
+    "For interpolation take a small value, for geodesic regression a large one.",
+)
+
+
+def check_lam(lam: Numbers) -> Array:
+    """One lambda, as an array `()`."""
+    return check_positive("lam", lam, *_LAM)
+
+
+def check_lams(lams: Numbers) -> np.ndarray:
+    """A grid of lambdas, ascending and without repetitions."""
+    return check_grid("lams", lams, *_LAM)
+
+
+def check_positive(name: str, value: Numbers, demand: str, cure: str) -> Array:
+    """One positive number, given in any array of size 1, as an array `()`."""
+    value = value if not is_concrete(value) else as_numbers(name, value)
+    if value.size != 1:
+        raise ValueError(f"{name}: expected one number, found shape {value.shape}.")
+    if is_concrete(value):
+        _refuse_other_than_positive(name, value.ravel(), demand, cure)
+    return jnp.asarray(value, float).reshape(())
+
+
+def check_grid(name: str, values: Numbers, demand: str, cure: str) -> np.ndarray:
+    """Positive numbers, ascending and without repetitions."""
+    values = as_numbers(name, values).ravel()
+    if values.size == 0:
+        raise ValueError(f"{name}: {demand}, found none. {cure}")
+    _refuse_other_than_positive(name, values, demand, cure)
+    return np.unique(values)
+
+
+def _refuse_other_than_positive(name, values, demand, cure):
+    bad = np.flatnonzero(~(np.isfinite(values) & (values > 0)))
+    if len(bad):
+        where = f" at index {bad[0]}" if len(values) > 1 else ""
+        raise ValueError(
+            f"{name}: {demand}, found {shown(values[bad[0]])}{where}. {cure}"
+        )
+
+
+def _checked_weights(weights, k: int) -> np.ndarray:
+    if weights is None:
+        return np.ones(k)
+    weights = as_numbers("weights", weights)
+    if weights.shape != (k,):
+        raise ValueError(
+            f"weights: expected shape ({k},), one for each pair, found {weights.shape}."
+        )
+    bad = np.flatnonzero(~(np.isfinite(weights) & (weights >= 0)))
+    if len(bad):
+        raise ValueError(
+            f"weights: must be positive or zero, and finite; {len(bad)} of {k} are not, "
+            f"first {shown(weights[bad[0]])} at index {bad[0]}."
+        )
+    if not 0 < np.sum(weights) < np.inf:
+        raise ValueError(
+            f"weights: their sum is {shown(np.sum(weights))}; only ratios matter, so give "
+            "numbers about 1, and not zero for all."
+        )
+    return weights
+
+
+def _numbers_of(name: str, space, points) -> tuple[np.ndarray, str]:
+    """Dates only where points are plain numbers."""
+    if isinstance(space, Interval | Box | Euclidean):
+        return numbers_and_unit(name, points)
+    return as_numbers(name, points), ""
+
+
+def _wrong_shape(name: str, space, found: tuple[int, ...]) -> str:
+    letters = ", ".join(map(str, ("k", *space.point_shape)))
+    comma = "," if not space.point_shape else ""
+    expected = f"({letters}{comma}) for {described(space)}"
+    return f"{name}: expected shape {expected}, found {found}."

@@ -1,0 +1,133 @@
+"""Flat sources: intervals, boxes, the neighbourhood of a surface. Every manifold is a
+source too."""
+
+import math
+
+import equinox as eqx
+import numpy as np
+
+from .._input.numbers import Numbers, numbers_and_unit
+from .._input.shown import shown
+from ..manifolds import AbstractManifold
+
+
+class Box(eqx.Module):
+    r"""The box $\prod_a [lower_a, upper_a] \subset \mathbb{R}^m$ as a source.
+
+    **Arguments:** `lower`, `upper`: sequences of m numbers (or dates, as of `Interval`),
+    lower < upper. Points are arrays `(..., m)`.
+    """
+
+    lower: tuple[float, ...] = eqx.field(static=True, converter=lambda v: _bounds(v))
+    upper: tuple[float, ...] = eqx.field(static=True, converter=lambda v: _bounds(v))
+
+    def __check_init__(self):
+        if len(self.lower) != len(self.upper):
+            raise ValueError(
+                "Box: `lower` and `upper` must have the same length, found "
+                f"{len(self.lower)} and {len(self.upper)}."
+            )
+        _check_bounds("Box", self.lower, self.upper)
+
+    @property
+    def dim(self) -> int:
+        return len(self.lower)
+
+    @property
+    def point_shape(self) -> tuple[int, ...]:
+        return (self.dim,)
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.array(self.lower), np.array(self.upper)
+
+
+class Interval(eqx.Module):
+    """The interval [a, b] as a source. Points are arrays `(...,)`: plain numbers.
+
+    Bounds and points may be dates (`datetime64`, pandas, `datetime`): they become seconds
+    since 1970-01-01 UTC (those without a time zone count as UTC), durations seconds. That
+    is the unit of the source: lambda is in s^3. A float64 tells today's dates apart to
+    2e-7 s; for finer times take durations since the first.
+    """
+
+    a: float = eqx.field(static=True, converter=lambda v: _bound(v))
+    b: float = eqx.field(static=True, converter=lambda v: _bound(v))
+
+    def __check_init__(self):
+        _check_bounds("Interval", (self.a,), (self.b,))
+
+    @property
+    def dim(self) -> int:
+        return 1
+
+    @property
+    def point_shape(self) -> tuple[int, ...]:
+        return ()
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([self.a]), np.array([self.b])
+
+
+class Ambient(eqx.Module):
+    r"""The neighbourhood of a manifold in its ambient space $\mathbb{R}^s$ as a source:
+    energies are integrals over the manifold of *ambient* second derivatives, all s
+    directions of them. Stiffer than the manifold itself: bending of it costs, too.
+
+    **Arguments:** `manifold`, any manifold. Points are points of it.
+    """
+
+    manifold: AbstractManifold
+
+    @property
+    def dim(self) -> int:
+        return math.prod(self.manifold.point_shape)
+
+    @property
+    def point_shape(self) -> tuple[int, ...]:
+        return self.manifold.point_shape
+
+
+Source = AbstractManifold | Ambient | Box | Interval
+
+
+def sampled(source: Source) -> AbstractManifold | Box | Interval:
+    """What is integrated over."""
+    return source.manifold if isinstance(source, Ambient) else source
+
+
+def sampled_dim(source: Source) -> int:
+    return sampled(source).dim
+
+
+def listed(values) -> str:
+    """A number, or the list of them, as `shown`."""
+    array = np.asarray(values)
+    return f"[{', '.join(map(listed, array))}]" if array.ndim else shown(array[()])
+
+
+def _bounds(values: Numbers) -> tuple[float, ...]:
+    numbers, _ = numbers_and_unit("Box", values)
+    return tuple(float(v) for v in np.atleast_1d(numbers))
+
+
+def _bound(value: Numbers) -> float:
+    number, _ = numbers_and_unit("Interval", value)
+    if number.size != 1:
+        raise ValueError(
+            f"Interval: a bound is one number, found an array of shape {number.shape}."
+        )
+    return float(number.reshape(()))
+
+
+def _check_bounds(name, lower, upper):
+    if not (np.all(np.isfinite(lower)) and np.all(np.isfinite(upper))):
+        raise ValueError(
+            f"{name}: bounds must be finite, found {listed(lower)} and {listed(upper)}."
+        )
+    if not np.all(np.asarray(lower) < np.asarray(upper)):
+        raise ValueError(
+            f"{name}: the lower bound must be below the upper one, found {listed(lower)} "
+            f"and {listed(upper)}."
+        )

@@ -1,0 +1,268 @@
+"""Dense correspondence between two scanned surfaces from a few landmarks."""
+
+import itertools
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import trimesh
+from jaxtyping import ArrayLike, Float, Int, ScalarLike
+
+from .._input.precision import check_x64
+from .._objective.problem import make_problem
+from .._selection.cross_validate import CrossValidation
+from .._selection.leave_one_out import RTOL, cut_errors, leave_one_out
+from .._solver.solve import RegressionMap, evaluate, solve
+from .._sources.checks import check_landmarks
+from .._sources.sources import Ambient
+from ..manifolds import PointCloud
+from ..meshes._files import numbers_vertices
+from ..meshes._surface import as_mesh
+from .orientation import check_orientation
+
+PAD = 8192  # targets are padded to multiples: similar ones share compiled programs
+
+Surface = trimesh.Trimesh | PointCloud | str | Path
+
+
+class Registration(eqx.Module):
+    """Where every vertex of the source belongs on the target."""
+
+    vertices: Float[np.ndarray, "n 3"]
+    """On the target, numbered as the vertices of the source are in its mesh or file; a
+    vertex that no triangle uses goes with the nearest one that is used."""
+    model: RegressionMap
+    """The map itself, for any point of the source."""
+    cv: CrossValidation | None
+    """How lambda was chosen; None if it was given."""
+    landmark_errors: Float[np.ndarray, " l"]
+    """Distances on the target between where the landmarks are sent and belong."""
+    source_vertices: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "f 3"] | None
+
+    def mesh(self, t: float = 1.0) -> trimesh.Trimesh:
+        """The source's triangles at (1 - t) source + t target: t = 1 is the registered
+        mesh, 0.5 the morph half way, t > 1 a caricature. To write it far from the origin
+        without loss take `manireg.meshes.write_mesh`."""
+        if self.faces is None:
+            raise ValueError("mesh: the source is a point cloud without triangles.")
+        between = (1 - t) * self.source_vertices + t * self.vertices
+        return trimesh.Trimesh(between, self.faces, process=False)
+
+    def stretch(self) -> Float[np.ndarray, " f"]:
+        """Area of each triangle on the target relative to its area on the source."""
+        return self.mesh(1.0).area_faces / np.maximum(self.mesh(0.0).area_faces, 1e-300)
+
+
+def register(
+    source: Surface,
+    target: Surface,
+    source_landmarks: ArrayLike,
+    target_landmarks: ArrayLike,
+    lam: ScalarLike | None = None,
+    *,
+    geometry: str | Sequence[str] = "ambient",
+    centres: int | Sequence[int] = 400,
+    tension: float | Sequence[float] = 1.0,
+    progress: bool = True,
+) -> Registration:
+    """Learn the map from one surface to another that is smoothest in the sense of the
+    Eells energy and sends landmarks to landmarks (paper, section 5).
+
+    **Arguments:**
+
+    - `source`, `target`: meshes (`trimesh.Trimesh`, or files trimesh loads) or
+      `PointCloud`s.
+    - `source_landmarks`, `target_landmarks`: l vertex numbers, or positions `(l, 3)` up
+      to a hundredth of the size away from the surface; at least 5 pairs. Numbers are those
+      of the mesh or of the file as it is (from 0; seams of a texture, unused and doubled
+      vertices count), also for `PointCloud.from_mesh`. STL files have none.
+    - `lam`: lambda, or None to choose it by `leave_one_out` over the landmarks.
+    - `geometry`: `"ambient"` (default) penalises bending in all directions of space,
+      `"intrinsic"` the Eells energy of the surface itself, which lets it bend freely.
+    - `centres`: about how many local polynomials, at most one a vertex (on a `PointCloud`
+      without triangles one for twelve points); cost and detail grow with them. They
+      and the smoothness follow the landmarks (`graded` in `make_problem`), so lambda and
+      `.model.energies` are means with that weight.
+    - `tension`: of the ambient energy, as in `make_problem`: holds on to the affine map of
+      the landmarks where there are none. On heads 1 was better than 0, the Eells energy
+      alone; where a surface bends far, a sheet onto a cylinder, it was worse.
+
+    Several geometries, numbers of centres or tensions, `geometry=("ambient",
+    "intrinsic")`, `centres=(200, 400)`, `tension=(0, 1)`, are tried in all combinations,
+    and the one that predicts left-out landmarks best is kept.
+
+    No alignment is needed before: the affine map of the landmarks costs nothing. But
+    surfaces have to have the same orientation: of a mirror image the triangles would come
+    out inside out.
+
+    **Warns** (UserWarning) if the fit kept had not settled: `.model.result` is then not
+    `successful`, as after `solve(..., throw=False)`.
+    **Raises** ValueError for landmarks that are too few, off the surface, NaN or on one
+    line, for meshes of opposite orientation, and for what `PointCloud` rejects;
+    RuntimeError for a fit that ends in NaN.
+    """
+    check_x64()
+    ours, theirs = _surface("source", source), _surface("target", target)
+    cloud, onto = ours.cloud, theirs.cloud
+    x = _positions("source_landmarks", source_landmarks, ours)
+    y = _positions("target_landmarks", target_landmarks, theirs)
+    if len(x) != len(y) or len(x) < 5:
+        raise ValueError(
+            f"landmarks: at least 5 pairs are needed, found {len(x)} on the source and "
+            f"{len(y)} on the target."
+        )
+    for name, places in (("source_landmarks", x), ("target_landmarks", y)):
+        spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+        if spread[1] <= 1e-3 * spread[0]:
+            raise ValueError(f"{name}: all on one line; spread them out.")
+    if ours.faces is not None:
+        check_orientation(x, y, _normals(cloud, x), _normals(onto, y))
+    padded = onto.padded(-(-len(onto.points) // PAD) * PAD)
+    choices = _choices(geometry, centres, tension)
+    found: list[tuple[RegressionMap, CrossValidation | None]] = []
+    for of, count, tau in choices:
+        problem = make_problem(
+            _with_geometry(cloud, of),
+            padded,
+            x,
+            y,
+            centres=count,
+            degree=1,
+            graded=True,
+            tension=tau,
+        )
+        nothing = jnp.zeros((problem.pattern.size, 3))
+        if not evaluate(problem.basis, nothing, cloud.points, problem.origin)[1]:
+            raise ValueError(
+                "source: some vertices lie outside the support of every centre; take more "
+                "`centres`."
+            )
+        if lam is None or len(choices) > 1:
+            lams = None if lam is None else jnp.atleast_1d(lam)
+            cv = leave_one_out(problem, lams, progress=progress)
+            found.append((cv.model, cv))
+        else:
+            model = solve(problem, lam, starts=(1.0,), rtol=RTOL, throw=False)
+            found.append((model, None))
+    model, cv = min(found, key=lambda fit: _predicted_error(fit[1]))
+    _check_result(model)
+    psi = evaluate(model.basis, model.coefficients, cloud.points, model.origin)[0]
+    image = np.asarray(onto.project(psi))[ours.of_vertex]
+    errors = np.linalg.norm(np.asarray(model(x)) - y, axis=1)
+    return Registration(image, model, cv, errors, ours.vertices, ours.faces)
+
+
+def _check_result(model: RegressionMap) -> None:
+    if not np.all(np.isfinite(model.coefficients)):
+        raise RuntimeError(
+            f"register: the fit at lambda {float(model.lam):.3g} ends in NaN; take a "
+            "larger `lam`, fewer `centres` or more `tension`."
+        )
+    if model.result != optx.RESULTS.successful:
+        warnings.warn(
+            f"register: the fit at lambda {float(model.lam):.3g} had not settled after "
+            f"{int(model.stats['num_trials'])} steps, so vertices may be off, most where "
+            "the target is thin or folded. Take a larger `lam`, fewer `centres` or more "
+            "`tension`; `.model.result` tells.",
+            stacklevel=3,
+        )
+
+
+def _choices(geometry, centres, tension) -> list[tuple[str, int, float]]:
+    """All combinations; the intrinsic energy has no tension."""
+    several = lambda value: (value,) if np.ndim(value) == 0 else tuple(value)
+    products = itertools.product(*map(several, (geometry, centres, tension)))
+    return list(
+        dict.fromkeys(
+            (of, n, tau if of == "ambient" else 0.0) for of, n, tau in products
+        )
+    )
+
+
+def _with_geometry(cloud: PointCloud, geometry: str):
+    if geometry not in ("ambient", "intrinsic"):
+        raise ValueError(
+            f"geometry: expected 'ambient' or 'intrinsic', found {geometry!r}."
+        )
+    return Ambient(cloud) if geometry == "ambient" else cloud
+
+
+def _predicted_error(cv: CrossValidation | None) -> float:
+    """Of left-out landmarks; with nothing to choose, of no interest."""
+    if cv is None:
+        return 0.0
+    return float(cut_errors(np.asarray(cv.scores[:, cv.chosen])).mean())
+
+
+class _Surface(NamedTuple):
+    """A point cloud, and the mesh it was given by."""
+
+    cloud: PointCloud
+    """Without `of_vertex`: programs are shared whatever the mesh repeats or leaves out."""
+    vertices: Float[np.ndarray, "n 3"]
+    of_vertex: Int[np.ndarray, " n"]
+    """The point of each vertex."""
+    faces: Int[np.ndarray, "f 3"] | None
+    numbered: bool
+
+
+def _surface(name: str, surface: Surface) -> _Surface:
+    if isinstance(surface, PointCloud):
+        points, numbers = np.asarray(surface.points), surface.of_vertex
+        numbers = np.arange(len(points)) if numbers is None else np.asarray(numbers)
+        return _Surface(_bare(surface), points[numbers], numbers, None, True)
+    numbered = isinstance(surface, trimesh.Trimesh) or numbers_vertices(surface)
+    try:
+        mesh = as_mesh(surface)
+        cloud = PointCloud.from_mesh(mesh)
+    except ValueError as error:
+        raise ValueError(str(error).replace("mesh:", f"{name}:", 1)) from error
+    vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
+    of_vertex = np.asarray(cloud.of_vertex)
+    return _Surface(_bare(cloud), vertices, of_vertex, faces, numbered)
+
+
+def _bare(cloud: PointCloud) -> PointCloud:
+    is_none = lambda leaf: leaf is None
+    return eqx.tree_at(lambda c: c.of_vertex, cloud, None, is_leaf=is_none)
+
+
+def _normals(cloud: PointCloud, points) -> Float[np.ndarray, "l 3"]:
+    return np.asarray(cloud.normals[cloud.nearest(jnp.asarray(points))])
+
+
+def _positions(name: str, landmarks, surface: _Surface) -> Float[np.ndarray, "l 3"]:
+    """Landmarks as points of the surface."""
+    landmarks, vertices = np.asarray(landmarks), surface.vertices
+    if landmarks.ndim == 1 and landmarks.dtype.kind in "iu":
+        if not surface.numbered:
+            raise ValueError(
+                f"{name}: vertex numbers, but STL files do not number vertices. Give "
+                "positions (l, 3), or a mesh as PLY or OBJ."
+            )
+        wrong = landmarks[(landmarks < 0) | (landmarks >= len(vertices))]
+        if len(wrong):
+            raise ValueError(
+                f"{name}: vertex {wrong[0]} does not exist; there are {len(vertices)}."
+            )
+        positions = vertices[landmarks]
+    elif landmarks.ndim == 2 and landmarks.shape[1] == 3:
+        positions = landmarks.astype(float)
+    else:
+        raise ValueError(
+            f"{name}: expected vertex numbers (l,) or positions (l, 3), found shape "
+            f"{landmarks.shape} of {landmarks.dtype}."
+        )
+    bad = np.flatnonzero(~np.all(np.isfinite(positions), axis=1))
+    if len(bad):
+        raise ValueError(
+            f"{name}: NaN or infinity in {len(bad)} of {len(positions)} (first at index "
+            f"{bad[0]}); remove these pairs."
+        )
+    return check_landmarks(name, surface.cloud, positions)

@@ -1,0 +1,22 @@
+"""What users hand to a manifold's own methods, as arrays."""
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from .._input.numbers import Numbers as Numbers, as_numbers
+
+
+def as_array(name: str, values: Numbers) -> Float[Array, "..."]:
+    """Float64, from numbers of any kind; what JAX traces passes."""
+    if isinstance(values, Tracer):
+        return jnp.asarray(values, float)
+    return jnp.asarray(as_numbers(name, values))
+
+
+def first_index(bad: np.ndarray) -> int | tuple[int, ...]:
+    """Where the first True is, in as many indices as there are dimensions."""
+    bad = np.atleast_1d(bad)
+    index = tuple(int(i) for i in np.unravel_index(np.argmax(bad), bad.shape))
+    return index[0] if len(index) == 1 else index

@@ -1,0 +1,1 @@
+"""What a manifold may leave to automatic differentiation."""

@@ -1,0 +1,1 @@
+"""Manifolds of matrices, and the functions of matrices they need."""

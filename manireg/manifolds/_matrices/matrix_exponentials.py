@@ -1,0 +1,168 @@
+"""Exponential and logarithm of matrices, from operations whose derivatives are exact."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._algebra.small import eigh
+from ..._algebra.smooth import (
+    RIGHT_ANGLE,
+    angle_over_sine,
+    cos_sinc,
+    norm_squared,
+    squared_angle,
+)
+from .lines import leading_vector
+from .matrix_functions import (
+    Eigen,
+    adjoint,
+    closest_rotation,
+    identity_like,
+    lyapunov,
+    skew_part,
+    symmetric_part,
+)
+
+_SQUARINGS = 6
+_EXP_SERIES = [1 / math.factorial(k) for k in range(17)]
+_LARGEST_TURN = 2.0**_SQUARINGS
+
+
+def rotation_exp(w: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Matrix exponential of skew w. n = 2, 3: Rodrigues' formula. n > 3: Taylor of
+    degree 16 and six squarings, exact to rounding for rotation angles up to 64 (NaN
+    where |w|_F allows more); unlike `expm` it has no branches to differentiate."""
+    one = identity_like(w)
+    if w.shape[-1] == 1:
+        return one
+    angle2 = norm_squared(w, 2)[..., None, None] / 2
+    if w.shape[-1] <= 3:
+        _, sinc = cos_sinc(angle2)
+        _, half_sinc = cos_sinc(angle2 / 4)
+        return one + sinc * w + (half_sinc**2 / 2) * (w @ w)
+    w = jnp.where(angle2 > _LARGEST_TURN**2, jnp.nan, w / _LARGEST_TURN)
+    w2 = w @ w
+    w3, w4 = w2 @ w, w2 @ w2
+    total = _EXP_SERIES[16] * one
+    for k in (12, 8, 4, 0):  # Paterson-Stockmeyer: Horner in w^4
+        a, b, c, d = _EXP_SERIES[k : k + 4]
+        total = total @ w4 + a * one + b * w + c * w2 + d * w3
+    for _ in range(_SQUARINGS):
+        total = total @ total
+    return total
+
+
+_ATAN_SERIES = [(-1) ** k / (2 * k + 1) for k in range(13)]
+_HALVINGS = 3
+
+
+def rotation_log(q: Float[Array, "..."]) -> Float[Array, "..."]:
+    r"""Skew logarithm of a rotation, with angles of at most $\pi$, to rounding for all
+    rotations of n = 2, 3. Where an angle is $\pi$, one of several.
+
+    n = 2: $\mathrm{atan2}(\sin\theta, \cos\theta)$. n = 3: $\frac{\theta}{\sin\theta}
+    (q - q^T)/2$ up to a right angle; beyond, the axis a is read from the symmetric part
+    $\cos\theta\, I + (1 - \cos\theta) aa^T$. n > 3: `_log_of_large`, next to a half turn
+    mended by one step of Newton's method.
+    """
+    if q.shape[-1] > 3:
+        return _log_of_large(q)
+    trace = jnp.trace(q, axis1=-2, axis2=-1)[..., None, None]
+    if q.shape[-1] == 2:
+        sine2 = q[..., 1:, :1] - q[..., :1, 1:]
+        return jnp.arctan2(sine2, trace) * _QUARTER_TURN
+    chord2 = norm_squared(q - identity_like(q), 2)[..., None, None] / 2
+    near = chord2 < RIGHT_ANGLE
+    cosine = (trace - 1.0) / 2
+    rank_one = jnp.where(near, 1.0, symmetric_part(q) - cosine * identity_like(q))
+    axis = leading_vector(rank_one)
+    turn = jnp.tensordot(axis, _CROSS, 1)  # about the axis, by the angle 1
+    sine = jnp.sum(turn * q, axis=(-2, -1))[..., None, None] / 2
+    angle = jnp.arctan2(sine, jnp.where(near, 1.0, cosine))
+    return jnp.where(near, angle_over_sine(chord2) * skew_part(q), angle * turn)
+
+
+_QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)  # [k] v = e_k x v
+
+
+def _log_of_large(q: Float[Array, "..."]) -> Float[Array, "..."]:
+    """`log_by_halves`, to 1e-8 also where q is next to half turns: there it turns the
+    planes of the eigenvectors of q + q^T in a direction that q leaves open, a little, and
+    takes off again what that was too much."""
+    values, vectors = eigh(jax.lax.stop_gradient(symmetric_part(q)))
+    pairs = vectors[..., : q.shape[-1] // 2 * 2]
+    first, second = pairs[..., ::2], pairs[..., 1::2]
+    planes = second @ adjoint(first) - first @ adjoint(second)
+    half_turn = values[..., :1, None] < _HALF_TURN
+    w = log_by_halves(q, jnp.where(half_turn, _NUDGE * planes, 0.0))
+    excess = skew_part(adjoint(rotation_exp(w)) @ q)
+    return w + jnp.where(half_turn, excess, 0.0)
+
+
+_NUDGE = 1e-8
+_HALF_TURN = -1.0 + 1e-12  # as a cosine
+
+
+def log_by_halves(
+    q: Float[Array, "..."], nudge: Float[Array, "..."] | float = 0.0
+) -> Float[Array, "..."]:
+    r"""Three square roots $\sqrt q = \mathrm{polar}(I + q)$, then $2\, \mathrm{artanh}$
+    of the Cayley transform $(q + I)^{-1}(q - I)$ as a power series. The derivatives are
+    those of `closest_rotation`: finite for all angles below $\pi$."""
+    one = identity_like(q)
+    q = closest_rotation(one + q + nudge)
+    for _ in range(_HALVINGS - 1):
+        q = closest_rotation(one + q)
+    k = skew_part(jnp.linalg.solve(one + q, q - one))
+    negative_square = adjoint(k) @ k
+    total = _ATAN_SERIES[-1] * one
+    for a in _ATAN_SERIES[-2::-1]:
+        total = total @ negative_square + a * one
+    return 2.0 ** (_HALVINGS + 1) * (k @ total)
+
+
+def squared_rotation_distance(
+    p: Float[Array, "..."], q: Float[Array, "..."]
+) -> Float[Array, "..."]:
+    r"""$|\log(p^T q)|_F^2$ for orthogonal p, q with $\det p = \det q$; for n = 2, 3 it
+    is $2 F(|p - q|_F^2 / 2)$."""
+    if p.shape[-1] <= 3:
+        return 2 * squared_angle(norm_squared(p - q, 2) / 2)
+    return norm_squared(log_by_halves(adjoint(p) @ q), 2)
+
+
+@jax.custom_jvp
+def _square_root(s: Float[Array, "..."]) -> tuple[Float[Array, "..."], Eigen]:
+    """Of a positive definite matrix, with its eigenvalues and eigenvectors."""
+    values, vectors = eigh(s)
+    roots = jnp.sqrt(values)
+    return (vectors * roots[..., None, :]) @ adjoint(vectors), (roots, vectors)
+
+
+@_square_root.defjvp
+def _square_root_jvp(primals, tangents):
+    (s,), (ds,) = primals, tangents
+    root, eigen = _square_root(s)
+    constant = jax.tree.map(jnp.zeros_like, eigen)
+    return (root, eigen), (lyapunov(root, eigen, ds), constant)
+
+
+def symmetric_log(s: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Logarithm of a symmetric positive definite matrix: square roots until the series
+    of artanh converges to rounding for condition numbers up to 1e12."""
+    one = identity_like(s)
+    scale = jnp.trace(s, axis1=-2, axis2=-1)[..., None, None] / s.shape[-1]
+    s = s / scale
+    halvings = 6
+    for _ in range(halvings):
+        s, _ = _square_root(s)
+    k = symmetric_part(jnp.linalg.solve(one + s, s - one))
+    square = k @ k
+    total = abs(_ATAN_SERIES[-1]) * one
+    for a in _ATAN_SERIES[-2::-1]:
+        total = total @ square + abs(a) * one
+    return 2.0 ** (halvings + 1) * (k @ total) + jnp.log(scale) * one

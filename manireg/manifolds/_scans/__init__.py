@@ -1,0 +1,1 @@
+"""Surfaces and curves known by points or triangles."""

@@ -1,0 +1,59 @@
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.mark.slow
+def test_line_on_sphere_resumes(tmp_path):
+    """One small cell in full; a second command finds nothing left to run."""
+    command = [sys.executable, BENCHMARKS / "line_on_sphere.py", "--out", tmp_path]
+    cell = "--conventions polar --ks 20 --kappas 1000 --reps 1".split()
+    file = tmp_path / "line_on_sphere.csv"
+    subprocess.run([*command, *cell], check=True)
+    before = file.read_text()
+    rows = list(csv.DictReader(before.splitlines()))
+    assert len(rows) == 4 and all(0 < float(row["mean_error"]) < 2 for row in rows)
+    table = (tmp_path / "line_on_sphere.md").read_text()
+    assert "| 20 | 1000 |" in table and "**" in table
+    assert (tmp_path / "line_on_sphere_polar.png").stat().st_size > 10_000
+    subprocess.run([*command, *cell], check=True)
+    assert file.read_text() == before
+
+
+@pytest.mark.slow
+def test_bending_resumes(tmp_path):
+    """The splines on one data set; a second command finds nothing left to run."""
+    command = [sys.executable, BENCHMARKS / "bending.py", "--out", tmp_path]
+    cell = ["--shapes", "roll", "--landmarks", "25", "--seeds", "1"]
+    cell += ["--methods", "linear", "thin plate", "affine"]
+    file = tmp_path / "bending.csv"
+    subprocess.run([*command, *cell], check=True)
+    before = file.read_text()
+    errors = {r["method"]: r for r in csv.DictReader(before.splitlines())}
+    assert len(errors) == 3
+    assert 0 < float(errors["thin plate"]["mean_along"]) < 0.02
+    assert float(errors["affine"]["mean_error"]) > 0.1
+    assert "| roll | 25 |" in (tmp_path / "bending.md").read_text()
+    subprocess.run([*command, *cell], check=True)
+    assert file.read_text() == before
+
+
+@pytest.mark.slow
+def test_large_resumes(tmp_path):
+    """One run in a process of its own; a second command finds nothing left to run."""
+    command = [sys.executable, BENCHMARKS / "large.py", "--out", tmp_path]
+    cell = ["--problems", "sphere1", "--centres", "100"]
+    file = tmp_path / "large.csv"
+    subprocess.run([*command, *cell], check=True)
+    before = file.read_text()
+    (row,) = csv.DictReader(before.splitlines())
+    assert row["unknowns"] == "1200" and row["data"] == "2500"
+    assert 0 < float(row["loss"]) < 0.01
+    assert "| 100 | 1200 |" in (tmp_path / "large.md").read_text()
+    subprocess.run([*command, *cell], check=True)
+    assert file.read_text() == before
