@@ -206,10 +206,10 @@ def _advance(lane, shared):
     gap = jnp.log(lam) - place.log_lam
     start = place.w + gap * place.slope
     fold = _fold(problem, inside)
-    w, _, _, result, _ = minimise(fold, lam, start, "projected", newton, max_steps)
-    converged = result == optx.RESULTS.successful
+    found = minimise(fold, lam, start, "projected", newton, max_steps)
+    converged = found.result == optx.RESULTS.successful
     # a fit that ends in no numbers is no start for the next
-    w = jnp.where(jnp.all(jnp.isfinite(w)), w, place.w)
+    w = jnp.where(jnp.all(jnp.isfinite(found.w)), found.w, place.w)
     secant = (w - place.w) / jnp.where(gap == 0, jnp.inf, gap)
     slope = jnp.where(converged, secant, 0.0)
     place = _Place(jnp.log(lam), w, slope)

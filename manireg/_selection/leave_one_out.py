@@ -2,22 +2,19 @@
 the Hessian at the minimum (mathematics: 10.1)."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 from tqdm.auto import tqdm
 
-from .._discretisation.jets import in_order
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
-from .._objective.densities import project_flat
-from .._objective.hessian import gauss_newton
-from .._objective.objective import Stage, at_data, objective
-from .._objective.problem import Problem, psi_jets
+from .._objective.objective import objective
+from .._objective.problem import Problem
 from .._objective.resolution import warn_where_coarse
 from .._objective.wavelengths import lambda_of_wavelength, mean_spacing
+from .._solver.leverages import left_out_errors
 from .._solver.linear import DirectSolvers, direct_solvers
 from .._solver.minimise import minimise, newton_minimiser, stage_of
 from .._solver.solve import RegressionMap, regression_map
@@ -140,41 +137,10 @@ def _grid(problem: Problem) -> Float[Array, " lams"]:
 @eqx.filter_jit
 def _fit_and_score(problem: Problem, lam, w, solvers: DirectSolvers, max_steps: int):
     newton = newton_minimiser(solvers, RTOL)
-    w, gamma, _, result, stats = minimise(
-        problem, lam, w, "projected", newton, max_steps
-    )
-    stage = stage_of(problem, lam, gamma, "projected", w)
-    _, energies = objective(w, stage)
-    model = regression_map(problem, w, lam, energies, result, stats)
-    errors = left_out_errors(w, stage, solvers)
+    found = minimise(problem, lam, w, "projected", newton, max_steps)
+    stage = stage_of(problem, lam, found.gamma, "projected", found.w)
+    _, energies = objective(found.w, stage)
+    model = regression_map(problem, found.w, lam, energies, found.result, found.stats)
+    errors = left_out_errors(found.w, stage, solvers)
     mean = jnp.sum(problem.weights) / jnp.sum(problem.weights > 0)
     return model, errors * problem.weights / mean
-
-
-def left_out_errors(
-    w: Float[Array, "KC t"], stage: Stage, solvers: DirectSolvers
-) -> Float[Array, " k"]:
-    """Length of each datum's residual in the fit without it, to first order."""
-    problem = stage.problem
-    jets, k, t = problem.data_jets, len(problem.y), problem.y.shape[1]
-    values = psi_jets(problem, jets, w)[:, :, 0]
-    slope = lambda target, psi: jax.jacfwd(lambda psi: project_flat(target, psi))(psi)
-    residual = at_data(stage, project_flat, values) - problem.y[jets.index]
-    projection = at_data(stage, slope, values)
-
-    # J_i^T as columns: basis values (U) times D pi (t x t), one per datum and component
-    columns = jnp.einsum("epu,eprt->eputr", jets.matrices[:, :, 0], projection)
-    columns = columns * jets.mask[:, :, None, None, None]
-    places = jnp.broadcast_to(jets.columns[:, None], columns.shape[:3])
-    owner = jnp.broadcast_to(jets.index[:, :, None], columns.shape[:3])
-    rhs = jnp.zeros((len(w), t, k, t))
-    rhs = rhs.at[places, :, owner].add(columns)
-    solver = solvers.positive
-    state = solver.init(gauss_newton(w, stage), {})
-    solution, _, _ = solver.compute(state, rhs.reshape(len(w), t, k * t), {})
-    solution = solution.reshape(len(w), t, k, t)
-    leverage = jnp.einsum("wtkr,wtkq->krq", rhs, solution)
-    share = problem.weights / jnp.sum(problem.weights)
-    residuals = in_order(jets, residual, k)
-    left = jnp.eye(t) - 2 * share[:, None, None] * leverage
-    return jnp.linalg.norm(jnp.linalg.solve(left, residuals[..., None])[..., 0], axis=1)

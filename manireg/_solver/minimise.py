@@ -10,12 +10,13 @@ import optimistix as optx
 from jaxtyping import Array, Float, ScalarLike
 
 from .._objective.hessian import exact, gauss_newton
-from .._objective.objective import Stage, objective
+from .._objective.objective import Stage
 from .._objective.patches import local_target, moved
 from .._objective.problem import Problem
 from .._sources.sources import Ambient
 from ..manifolds import PointCloud
 from .linear import DirectSolvers
+from .minimum import Minimum, newton_solve
 from .newton import Newton, add_counts
 from .penalty_path import penalty_path
 
@@ -65,8 +66,7 @@ def minimise(
     method: Method,
     newton: Newton,
     max_steps: int,
-):
-    """`(w, gamma, objective, result, stats)`."""
+) -> Minimum:
     noise = ROUNDING * jnp.finfo(w0.dtype).eps * _residual_terms(problem, lam, w0)
     newton = eqx.tree_at(
         lambda n: (n.atol, n.noise), newton, (newton.atol + noise**2, noise)
@@ -81,10 +81,8 @@ def minimise(
         # the patches are wrong by more than this, and exact Hessians dear
         coarse = (jnp.maximum(newton.rtol, PATCH_RTOL), 0.0, False)
         newton = eqx.tree_at(lambda n: (n.rtol, n.near, n.certify), newton, coarse)
-        w, total, result, stats = _rounds(newton, stage, w0, max_steps)
-    else:
-        w, total, result, stats = _newton_solve(newton, stage, w0, max_steps)
-    return w, stage.gamma, total, result, stats
+        return _rounds(newton, stage, w0, max_steps)
+    return newton_solve(newton, stage, w0, max_steps)
 
 
 def _residual_terms(problem: Problem, lam, w: Float[Array, "KC t"]):
@@ -96,43 +94,34 @@ def _residual_terms(problem: Problem, lam, w: Float[Array, "KC t"]):
     return jnp.sqrt(jnp.mean(jnp.sum(problem.y**2, axis=1)) + energy)
 
 
-def _newton_solve(newton: Newton, stage: Stage, w, max_steps: int):
-    solution = optx.minimise(
-        objective, newton, w, stage, has_aux=True, max_steps=max_steps, throw=False
-    )
-    total = solution.stats["objective"]
-    return solution.value, total, solution.result, solution.stats
-
-
-def _rounds(newton: Newton, stage: Stage, w0, max_steps: int):
+def _rounds(newton: Newton, stage: Stage, w0, max_steps: int) -> Minimum:
     """Newton solves with the patches renewed in between, until hardly any change, of
     `max_steps` trial steps in all."""
     steps = min(ROUND_STEPS, max_steps)
 
     def solve_round(rounds, w, local):
         here = eqx.tree_at(lambda s: s.local, stage, local)
-        w, total, result, stats = _newton_solve(newton, here, w, steps)
-        renewed = local_target(stage.problem, w, local, rounds)
+        found = newton_solve(newton, here, w, steps)
+        renewed = local_target(stage.problem, found.w, local, rounds)
         assert renewed is not None
         share = moved(local, renewed)
-        done = (result == optx.RESULTS.successful) & (share <= SETTLED)
+        done = (found.result == optx.RESULTS.successful) & (share <= SETTLED)
         unsettled = optx.RESULTS.nonlinear_max_steps_reached
         result = optx.RESULTS.where(done, optx.RESULTS.successful, unsettled)
-        return w, renewed, total, result, stats
+        return found._replace(result=result), renewed
 
     def unfinished(carry):
-        rounds, _, _, _, result, stats = carry
-        allowed = (rounds < ROUNDS) & (stats["num_trials"] + steps <= max_steps)
-        return allowed & (result != optx.RESULTS.successful)
+        rounds, found, _ = carry
+        allowed = (rounds < ROUNDS) & (found.stats["num_trials"] + steps <= max_steps)
+        return allowed & (found.result != optx.RESULTS.successful)
 
     def next_round(carry):
-        rounds, w, local, _, _, before = carry
-        w, local, total, result, stats = solve_round(rounds + 1, w, local)
-        return rounds + 1, w, local, total, result, add_counts(stats, before)
+        rounds, before, local = carry
+        found, local = solve_round(rounds + 1, before.w, local)
+        stats = add_counts(found.stats, before.stats)
+        return rounds + 1, found._replace(stats=stats), local
 
     first = solve_round(1, w0, stage.local)
     carry = jax.tree.map(jnp.asarray, (1, *first))
-    rounds, w, _, total, result, stats = jax.lax.while_loop(
-        unfinished, next_round, carry
-    )
-    return w, total, result, {**stats, "num_rounds": rounds}
+    rounds, found, _ = jax.lax.while_loop(unfinished, next_round, carry)
+    return found._replace(stats={**found.stats, "num_rounds": rounds})

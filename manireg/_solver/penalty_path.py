@@ -6,6 +6,7 @@ import optimistix as optx
 
 from .._objective.objective import Stage, objective
 from .._objective.problem import Problem
+from .minimum import Minimum, newton_solve
 from .newton import Newton, add_counts
 
 MARGIN = 50.0  # gamma_0 in units of (L + lambda S) / (vol(M) reach^2): smaller ones let
@@ -15,10 +16,10 @@ STAGES = 8
 TOLERANCE = 1e-4  # of the reach: largest distance to N at which the path stops
 
 
-def penalty_path(problem: Problem, lam, w0, newton: Newton, max_steps: int):
+def penalty_path(problem: Problem, lam, w0, newton: Newton, max_steps: int) -> Minimum:
     """Minimise at gamma_0, 10 gamma_0, ... Stops when the largest distance to N is below
     1e-4 of the reach, or no longer halves (the basis cannot follow N more closely; more
-    gamma would make the map worse). Returns `(w, gamma, objective, result, stats)`."""
+    gamma would make the map worse)."""
     reach = jnp.minimum(jnp.asarray(problem.target.reach, float), 1e3)
     on_target = Stage(problem, lam, 0.0, True)
     _, start = objective(w0, on_target)
@@ -26,37 +27,20 @@ def penalty_path(problem: Problem, lam, w0, newton: Newton, max_steps: int):
 
     def minimise(w, gamma):
         stage = Stage(problem, lam, gamma, False)
-        solution = optx.minimise(
-            objective, newton, w, stage, has_aux=True, max_steps=max_steps, throw=False
-        )
-        total, energies = objective(solution.value, stage)
-        return solution.value, total, energies.off_manifold, solution
+        found = newton_solve(newton, stage, w, max_steps)
+        _, energies = objective(found.w, stage)
+        return found, energies.off_manifold
 
     def unfinished(carry):
-        stage, _, _, gap, halved, _, result, _ = carry
-        go_on = (stage < STAGES) & (gap > TOLERANCE * reach) & halved
-        return go_on & (result == optx.RESULTS.successful)
+        stages, found, gap, halved = carry
+        go_on = (stages < STAGES) & (gap > TOLERANCE * reach) & halved
+        return go_on & (found.result == optx.RESULTS.successful)
 
     def next_stage(carry):
-        stage, w, gamma, gap, _, _, _, stats = carry
-        w, total, new_gap, solution = minimise(w, FACTOR * gamma)
-        stats = add_counts(solution.stats, stats)
-        halved = new_gap < 0.5 * gap
-        return (
-            stage + 1,
-            w,
-            FACTOR * gamma,
-            new_gap,
-            halved,
-            total,
-            solution.result,
-            stats,
-        )
+        stages, before, gap, _ = carry
+        found, new_gap = minimise(before.w, FACTOR * before.gamma)
+        found = found._replace(stats=add_counts(found.stats, before.stats))
+        return stages + 1, found, new_gap, new_gap < 0.5 * gap
 
-    w, total, gap, solution = minimise(w0, gamma)
-    first = (1, w, gamma, gap, True, total, solution.result, solution.stats)
-    carry = jax.tree.map(jnp.asarray, first)
-    _, w, gamma, _, _, total, result, stats = jax.lax.while_loop(
-        unfinished, next_stage, carry
-    )
-    return w, gamma, total, result, stats
+    carry = jax.tree.map(jnp.asarray, (1, *minimise(w0, gamma), True))
+    return jax.lax.while_loop(unfinished, next_stage, carry)[1]

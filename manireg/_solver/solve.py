@@ -250,14 +250,14 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
         follow = lambda lane: _followed(problem, lam, lane, *options)
         lanes = jax.tree.map(lambda *parts: jnp.concatenate(parts), *lanes)
         candidates = jax.lax.map(follow, lanes)
-        best = jnp.argmin(jnp.nan_to_num(candidates[2], nan=jnp.inf))
+        best = jnp.argmin(jnp.nan_to_num(candidates.objective, nan=jnp.inf))
         return jax.tree.map(lambda a: a[best], candidates)
 
-    w, gamma, _, result, stats = lowest(arrays)
-    stage = stage_of(problem, lam, gamma, method, jax.lax.stop_gradient(w))
-    w = _implicit(stage, w, solvers)
+    found = lowest(arrays)
+    stage = stage_of(problem, lam, found.gamma, method, jax.lax.stop_gradient(found.w))
+    w = _implicit(stage, found.w, solvers)
     _, energies = objective(w, stage)
-    return regression_map(problem, w, lam, energies, result, stats)
+    return regression_map(problem, w, lam, energies, found.result, found.stats)
 
 
 def _followed(problem, lam, lane, method, solvers, rtol, max_steps):
@@ -275,15 +275,15 @@ def _followed(problem, lam, lane, method, solvers, rtol, max_steps):
         return carry[0] < lam
 
     def go_on(carry):
-        now, (w, _, _, _, before) = carry
+        now, before = carry
         now = jnp.where(STRIDE * now < (1 - 1e-9) * lam, STRIDE * now, lam)
-        w, *rest, stats = solve_at(now, w)
-        return now, (w, *rest, add_counts(stats, before))
+        found = solve_at(now, before.w)
+        return now, found._replace(stats=add_counts(found.stats, before.stats))
 
     # the first lambda is that of a step taken from nowhere: one program serves all
     shapes = jax.eval_shape(solve_at, lam, w)
     nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
-    start = (first / STRIDE, (w, *nothing[1:]))
+    start = (first / STRIDE, nothing._replace(w=w))
     return jax.lax.while_loop(on_the_way, go_on, start)[1]
 
 
