@@ -8,7 +8,8 @@ from _timing import first_and_best
 
 from manireg._algebra.cholesky import SparseCholesky
 from manireg._objective.hessian import gauss_newton
-from manireg._objective.objective import Stage, objective
+from manireg._objective.objective import objective
+from manireg._objective.sites import Stage
 from manireg._solver.linear import direct_solvers
 
 

@@ -18,6 +18,7 @@ from ._objective.energy_of_map import (
 from ._objective.objective import Energies as Energies
 from ._objective.problem import Problem as Problem, make_problem as make_problem
 from ._objective.resolution import ResolutionWarning as ResolutionWarning
+from ._objective.terms import AbstractTerm as AbstractTerm
 from ._selection.cross_validate import (
     CrossValidation as CrossValidation,
     cross_validate as cross_validate,

@@ -2,6 +2,7 @@
 by element."""
 
 import functools
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -9,34 +10,35 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._algebra.sparse import SparseSymmetric
-from .problem import Problem
+from .._algebra.sparse import SparseSymmetric, SparsityPattern
+from .._discretisation.jets import Jets
 
-VALUE = np.array([0])  # the row of a jet that the loss sees
 CHUNK_BYTES = 8_000_000  # assembled at a time: few stay in the cache
 
 
 class PointHessians(eqx.Module):
-    """Weighted second derivatives of the densities in the jets, at every point."""
+    """Weighted second derivatives of the densities of a site in the jets."""
 
-    energy: Float[Array, "e p Jt Jt"]
-    data: Float[Array, "d r t t"]
+    at_points: Float[Array, "e p Jt Jt"]
+    jets: Jets
+    places: tuple[Int[Array, "_ _"], ...]
+    """For each bucket of elements, where its pairs of centres are in the pattern."""
+    rows: tuple[int, ...] = eqx.field(static=True)
+    """Of a jet, those in `at_points`."""
 
 
 def assembled(
-    problem: Problem, local: PointHessians, energy_rows: np.ndarray
+    pattern: SparsityPattern, families: Sequence[PointHessians]
 ) -> SparseSymmetric:
     """sum_q A_q^T local_q A_q."""
-    pattern, t = problem.pattern, problem.y.shape[1]
-    b = pattern.functions * t
+    first = families[0]
+    b = pattern.functions * first.at_points.shape[-1] // len(first.rows)
     blocks = jnp.zeros((len(pattern.rows), b, b))
-    for local_hessians, jets, rows, places in (
-        (local.energy, problem.energy_jets, energy_rows, problem.energy_places),
-        (local.data, problem.data_jets, VALUE, problem.data_places),
-    ):
-        for (start, stop, U), into in zip(jets.buckets, places, strict=True):
+    for family in families:
+        jets, rows = family.jets, np.array(family.rows)
+        for (start, stop, U), into in zip(jets.buckets, family.places, strict=True):
             matrices = jets.matrices[start:stop, :, rows, :U]
-            blocks = _add(blocks, local_hessians[start:stop], matrices, into)
+            blocks = _add(blocks, family.at_points[start:stop], matrices, into)
     return SparseSymmetric(blocks, pattern)
 
 

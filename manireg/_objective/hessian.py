@@ -1,34 +1,27 @@
 """The sparse Hessian of the objective.
 
 E(w) = sum_q weight_q phi(A_q w), so its Hessian is sum_q A_q^T (weight_q D^2 phi) A_q.
-`gauss_newton` replaces D^2 phi by 2 R^T R, R the Jacobian of the residuals through
+`gauss_newton` replaces D^2 phi by 2 rho' R^T R, R the Jacobian of the residuals through
 projector and projection: always positive semidefinite, and assembled. `exact`
 differentiates twice. On surfaces it is only ever multiplied with vectors: its solver
 iterates, with the factor of a Gauss-Newton matrix near by.
 """
 
 import functools
+from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._algebra.sparse import SparseSymmetric, declare_symmetric
+from .._algebra.sparse import SparseSymmetric, SparsityPattern, declare_symmetric
 from .._discretisation.jets import jet_values
-from .assembly import VALUE, PointHessians, assembled
-from .densities import geodesic_loss, project_flat
-from .objective import (
-    Stage,
-    at_points,
-    data_weights,
-    densities,
-    residuals,
-    strengths,
-)
-from .problem import Problem, psi_jets
+from .assembly import PointHessians, assembled
+from .problem import psi_jets
+from .sites import Site, Stage, at_points, sites
+from .terms import weight_of
 
 CHUNK_POINTS = 768  # differentiated at a time
 
@@ -37,27 +30,23 @@ class ExactHessian(lx.AbstractLinearOperator):
     """Assembled on demand only: its product sum_q A_q^T (weight_q D^2 phi) A_q v with a
     vector is as quick as a gradient."""
 
-    problem: Problem
-    local: PointHessians
-    rows: tuple[int, ...] = eqx.field(static=True)
-    """Of a jet, those in `local.energy`."""
+    families: tuple[PointHessians, ...]
+    pattern: SparsityPattern
     model: SparseSymmetric | None
     """A positive definite operator near it."""
 
     def mv(self, vector):
-        families = (
-            (self.problem.energy_jets, np.array(self.rows), self.local.energy),
-            (self.problem.data_jets, VALUE, self.local.data),
-        )
         product = jnp.zeros_like(vector)
-        for jets, rows, local in families:
-            jet, pull = jax.vjp(lambda v: jet_values(jets, v)[:, :, rows], vector)
+        for family in self.families:
+            local, rows = family.at_points, np.array(family.rows)
+            values = lambda v: jet_values(family.jets, v)[:, :, rows]
+            jet, pull = jax.vjp(values, vector)
             bent = jnp.einsum("epij,epj->epi", local, jet.reshape(local.shape[:-1]))
             product += pull(bent.reshape(jet.shape))[0]
         return product
 
     def assembled(self) -> SparseSymmetric:
-        return assembled(self.problem, self.local, np.array(self.rows))
+        return assembled(self.pattern, self.families)
 
     def as_matrix(self):
         return self.assembled().as_matrix()
@@ -66,8 +55,9 @@ class ExactHessian(lx.AbstractLinearOperator):
         return self
 
     def in_structure(self):
-        shape = (self.problem.pattern.size, self.local.data.shape[-1])
-        return jax.eval_shape(lambda: jnp.zeros(shape, self.local.data.dtype))
+        local, rows = self.families[0].at_points, self.families[0].rows
+        shape = (self.pattern.size, local.shape[-1] // len(rows))
+        return jax.eval_shape(lambda: jnp.zeros(shape, local.dtype))
 
     def out_structure(self):
         return self.in_structure()
@@ -77,37 +67,28 @@ declare_symmetric(ExactHessian)
 
 
 def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
-    """The loss contributes 2 Dpi^T Dpi: exact for a perfect fit, and where N is positively
-    curved never below the true Hessian."""
+    """The model: residuals as linear functions of w, weighed by rho'."""
 
-    def weighted(target, jet, *strength):
-        energy, off = residuals(stage, target, jet, *strength)
-        energy, off = jnp.sqrt(stage.lam) * energy, jnp.sqrt(stage.gamma) * off
-        return jnp.concatenate([energy.ravel(), off])
+    def of_site(site: Site):
+        def weighted(near, jet, arguments):
+            residuals = []
+            for term, args in zip(site.terms, arguments, strict=True):
+                weight = term.factor(stage.lam, stage.gamma)
+                weight *= weight_of(term, term.square(near, jet, args))
+                r = term.residual(near, jet, args)
+                residuals.append(jnp.sqrt(weight) * r.ravel())
+            return jnp.concatenate(residuals)
 
-    def landed(target, jet):
-        return project_flat(target, jet[0])
-
-    def gram(f, rows):
-        def of_element(targets, jets, *strength):
-            values = lambda jets: at_points(stage, f, targets, jets, *strength)
+        def of_element(near, jets, arguments):
+            values = lambda jets: at_points(site, weighted, near, jets, arguments)
             # a loop over the residuals: einsum makes a small product of every point's
-            columns = jnp.moveaxis(_derivatives(values, jets, rows), 2, 0)
+            columns = jnp.moveaxis(_derivatives(values, jets, site.rows), 2, 0)
             squares = [column[:, None] * column for column in columns]
             return 2.0 * functools.reduce(jnp.add, squares).transpose(2, 0, 1)
 
         return of_element
 
-    problem, rows, local = stage.problem, _rows(stage), stage.local
-    jets = [psi_jets(problem, j, w) for j in (problem.energy_jets, problem.data_jets)]
-    energy = _each_element(
-        gram(weighted, rows),
-        local and local.at_quadrature,
-        jets[0],
-        *strengths(problem),
-    )
-    data = _each_element(gram(landed, VALUE), local and local.at_data, jets[1])
-    return assembled(problem, _weighted(problem, energy, data), rows)
+    return assembled(stage.problem.pattern, _families(w, stage, of_site))
 
 
 def exact(
@@ -116,45 +97,48 @@ def exact(
     """May be indefinite, away from a minimum. `model`: of `gauss_newton`, at a map near
     by; iterative solvers need it."""
 
-    def density(target, jet, *strength):
-        bending, gap = densities(stage, target, jet, *strength)
-        return stage.lam * bending + stage.gamma * gap
+    def of_site(site: Site):
+        def density(near, jet, arguments):
+            pairs = zip(site.terms, arguments, strict=True)
+            return sum(
+                term.factor(stage.lam, stage.gamma) * term.density(near, jet, args)
+                for term, args in pairs
+            )
 
-    def loss(target, jet, y):
-        return geodesic_loss(target, jet[0], y)
-
-    def hessian(f, rows):
-        def of_element(targets, jets, *others):
-            values = lambda jets: jnp.sum(at_points(stage, f, targets, jets, *others))
-            columns = _derivatives(lambda j: jax.grad(values)(j)[:, rows], jets, rows)
+        def of_element(near, jets, arguments):
+            whole = lambda j: jnp.sum(at_points(site, density, near, j, arguments))
+            gradient = lambda j: jax.grad(whole)(j)[:, site.rows]
+            columns = _derivatives(gradient, jets, site.rows)
             return jnp.moveaxis(columns.reshape(*columns.shape[:2], -1), 0, 1)
 
         return of_element
 
-    problem, rows, local = stage.problem, _rows(stage), stage.local
-    jets = [psi_jets(problem, j, w) for j in (problem.energy_jets, problem.data_jets)]
-    y = problem.y[problem.data_jets.index]
-    energy = _each_element(
-        hessian(density, rows),
-        local and local.at_quadrature,
-        jets[0],
-        *strengths(problem),
-    )
-    data = _each_element(hessian(loss, VALUE), local and local.at_data, jets[1], y)
+    families = _families(w, stage, of_site)
     if model is not None:
         # a pattern carried through a loop would be batched under vmap
-        model = SparseSymmetric(model.blocks, problem.pattern)
-    return ExactHessian(
-        problem, _weighted(problem, energy, data), tuple(rows.tolist()), model
-    )
+        model = SparseSymmetric(model.blocks, stage.problem.pattern)
+    return ExactHessian(families, stage.problem.pattern, model)
 
 
-def _each_element(f, targets, *arrays: Float[Array, "e p ..."]):
+def _families(
+    w: Float[Array, "KC t"], stage: Stage, of_site: Callable
+) -> tuple[PointHessians, ...]:
+    families = []
+    for site in sites(stage):
+        jets = psi_jets(stage.problem, site.jets, w)
+        local = _each_element(of_site(site), site.near, jets, site.arguments)
+        local = local * site.weights[:, :, None, None]
+        rows = tuple(site.rows.tolist())
+        families.append(PointHessians(local, site.jets, site.places, rows))
+    return tuple(families)
+
+
+def _each_element(f, near, jets: Float[Array, "e p J t"], arguments):
     """`f` of every element, so many at a time that what it passes through stays in the
     cache (measured: all at once takes three to four times as long)."""
-    e, p = arrays[0].shape[:2]
+    e, p = jets.shape[:2]
     size = min(2 ** int(np.log2(max(CHUNK_POINTS / p, 1))), e)
-    return jax.lax.map(lambda a: f(*a), (targets, *arrays), batch_size=size)
+    return jax.lax.map(lambda a: f(*a), (near, jets, arguments), batch_size=size)
 
 
 def _derivatives(f, jets: Float[Array, "p J t"], rows) -> Float[Array, "jt p ..."]:
@@ -167,19 +151,3 @@ def _derivatives(f, jets: Float[Array, "p J t"], rows) -> Float[Array, "jt p ...
 
     directions = jnp.eye(J * t).reshape(J, t, J, t)[rows]
     return jax.lax.map(along, directions.reshape(-1, J, t))
-
-
-def _rows(stage: Stage) -> np.ndarray:
-    """Of a jet, those the energy sees: no first derivatives in the penalised one, unless
-    there is tension."""
-    m = stage.problem.basis.dim
-    rows = np.arange(stage.problem.energy_jets.matrices.shape[2])
-    first = stage.projected or stage.problem.tension is not None
-    return rows if first else np.delete(rows, np.arange(1, 1 + m))
-
-
-def _weighted(problem: Problem, energy, data) -> PointHessians:
-    return PointHessians(
-        energy * problem.energy_weights[:, :, None, None],
-        data * data_weights(problem)[:, :, None, None],
-    )

@@ -16,21 +16,20 @@ HOLD = 1.1  # by the n-th renewal a patch stays until another is nearer by HOLD^
 MOST_BEND = 0.5  # distance to a patch in units of its radius of curvature
 
 
-class LocalTarget(eqx.Module):
-    """Batched patches, arranged like the jets."""
+class Patches(eqx.Module):
+    """Of a cloud near a map, arranged like the jets: at the quadrature, at the data."""
 
-    at_quadrature: QuadricPatch
-    at_data: QuadricPatch
+    near: tuple[QuadricPatch, QuadricPatch]
     nearest: tuple[Int[Array, "e p"], Int[Array, "d r"]]
     """Indices of their points in the cloud."""
 
 
-def local_target(
+def patches_near(
     problem: Problem,
     w: Float[Array, "KC t"],
-    held: LocalTarget | None = None,
+    held: Patches | None = None,
     renewals: ArrayLike = 1,
-) -> LocalTarget | None:
+) -> Patches | None:
     """Around the map with coefficients `w`; None if the target needs no such thing. A
     patch of `held` stays until another point is nearer by a factor that grows with the
     renewals: two patches that each send the map to the other would be exchanged for ever,
@@ -51,7 +50,7 @@ def local_target(
         _flattened(cloud.patches(i), psi)
         for i, psi in zip(nearest, values, strict=True)
     )
-    return LocalTarget(energy, data, (nearest[0], nearest[1]))
+    return Patches((energy, data), (nearest[0], nearest[1]))
 
 
 def _flattened(patches: QuadricPatch, psi: Float[Array, "e p t"]) -> QuadricPatch:
@@ -65,7 +64,7 @@ def _flattened(patches: QuadricPatch, psi: Float[Array, "e p t"]) -> QuadricPatc
     )
 
 
-def moved(old: LocalTarget, new: LocalTarget) -> Float[Array, ""]:
+def moved(old: Patches, new: Patches) -> Float[Array, ""]:
     """Share of the points whose patch has changed."""
     changed: list[Bool[Array, " n"]] = [
         (a != b).ravel() for a, b in zip(old.nearest, new.nearest, strict=True)

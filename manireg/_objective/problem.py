@@ -1,10 +1,12 @@
 """Data and discretisation of one regression, analysed once on the host."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, ScalarLike
+from jaxtyping import Array, Float, Int, PyTree, ScalarLike
 
 from .._algebra.sparse import SparsityPattern, band_order, sparsity
 from .._discretisation.domain import Domain, centres_of, discretise
@@ -23,9 +25,10 @@ from .._discretisation.spacing import local_spacings
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._sources.checks import check_data, check_dimension, check_tension
-from .._sources.sources import Ambient, Source, sampled, sampled_dim
+from .._sources.sources import Source, sampled, sampled_dim
 from ..manifolds import AbstractManifold, PointCloud
-from .tension import Tension, tension_of
+from .energies import AbstractEnergy, AmbientEells, Eells, Tension, affine_derivative
+from .terms import AbstractTerm
 
 DEFAULT_CENTRES = {1: (30, 100), 2: (50, 400), 3: (60, 400)}  # least and most
 CLUSTERED = 400  # at most, where the data cluster
@@ -43,9 +46,9 @@ class Problem(eqx.Module):
     basis: LocalPolynomials
     energy_jets: Jets
     """Value, first and intrinsic second derivatives at the quadrature points."""
-    free_jets: Jets
+    free_jets: Jets | None
     """The same with the ambient second derivative, for the free start: affine maps of the
-    ambient space then cost nothing. Equal to `energy_jets` on a flat source."""
+    ambient space then cost nothing. None on a flat source, where they are the same."""
     energy_weights: Float[Array, "e p"]
     data_jets: Jets
     """Values at the data."""
@@ -58,7 +61,10 @@ class Problem(eqx.Module):
     energy_places: tuple[Int[Array, "_ _"], ...]
     """For each bucket of elements, where its pairs of centres are in the pattern."""
     data_places: tuple[Int[Array, "_ _"], ...]
-    tension: Tension | None
+    energy: AbstractEnergy
+    energy_arguments: PyTree[Float[Array, "Q ..."]]
+    terms: tuple[tuple[AbstractTerm, PyTree[Float[Array, "n ..."]]], ...]
+    """Others, with what they read at each point."""
     data_volume: Float[Array, ""]
     """Of the part of the source that the data fill: less than `volume` where they
     cluster."""
@@ -66,6 +72,12 @@ class Problem(eqx.Module):
     @property
     def volume(self) -> Float[Array, ""]:
         return jnp.sum(self.energy_weights)
+
+
+def data_weights(problem: Problem) -> Float[Array, "e p"]:
+    """weight_i / sum_j weight_j, arranged in the elements of the data jets."""
+    share = problem.weights / jnp.sum(problem.weights)
+    return share[problem.data_jets.index] * problem.data_jets.mask
 
 
 def psi_jets(problem: Problem, jets: Jets, w: Float[Array, "KC t"]):
@@ -91,6 +103,8 @@ def make_problem(
     width: float | None = None,
     graded: bool = False,
     tension: float = 0.0,
+    energy: AbstractEnergy | None = None,
+    terms: Sequence[AbstractTerm] = (),
 ) -> Problem:
     r"""Discretise the regression of y on x.
 
@@ -136,6 +150,9 @@ def make_problem(
       not overshoot between data as one without does. At 1, stretching and bending over
       one spacing cost the same. Default 0, the Eells energy alone. A and h stay those of
       these data if `y` or `weights` are replaced.
+    - `energy`: what smooths; default the Eells energy of the map into N, on `Ambient`
+      sources that of the map of the neighbourhood, with `tension` as above.
+    - `terms`: what else is to be minimised, see `AbstractTerm`.
 
     **Raises** ValueError for float32 mode, wrong shapes, NaN, masked or missing entries,
     points off the source or the target (reflections among rotations are named), too few
@@ -148,24 +165,53 @@ def make_problem(
     check_tension(tension, source)
     x, y, weights = check_data(source, target, x, y, weights)
     m = sampled_dim(source)
+    if energy is None:
+        energy = _default_energy(source, tension, x, y, weights)
+    _check_terms(energy, terms)
     if degree is None:
-        degree = 1 if isinstance(source, Ambient) else 2
+        degree = energy.degree
     if degree < 1:
         raise ValueError(
             f"degree: must be at least 1, found {degree}: affine maps have to cost "
             "nothing."
         )
     if width is None:
-        flat = 1.5 if isinstance(source, Ambient) else 2.2
-        width = 2.5 if m == 1 else flat
+        width = energy.widths[min(m, 2) - 1]
     nodes, spacing, domain, data_volume = _resolution(source, x, centres, graded)
     basis = local_polynomials(nodes, width * spacing, degree, domain)
     if m == 1:
         order = band_order(np.asarray(basis.centres), np.asarray(basis.widths))
         basis = jax.tree.map(lambda a: a[order], basis)
     return assemble_problem(
-        source, target, basis, domain, x, y, weights, tension, data_volume
+        source, target, basis, domain, x, y, weights, energy, terms, data_volume
     )
+
+
+def _default_energy(source: Source, tension: float, x, y, weights) -> AbstractEnergy:
+    if sampled(source) is source:
+        return Eells()
+    if tension == 0:
+        return AmbientEells()
+    return Tension(tension, affine_derivative(x, y, weights), x)
+
+
+def _check_terms(energy: AbstractEnergy, terms: Sequence[AbstractTerm]) -> None:
+    names = ["loss", "off_manifold", energy.name, *(term.name for term in terms)]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise ValueError(f"terms: two have the name {twice[0]!r}; give each its own.")
+    for term in terms:
+        known = {"quadrature": (0, 1, 2), "data": (0,)}.get(term.place)
+        if known is None:
+            raise ValueError(
+                f"terms: {term.name} has the place {term.place!r}; expected 'quadrature' "
+                "or 'data'."
+            )
+        if not set(term.orders) <= set(known):
+            raise ValueError(
+                f"terms: {term.name} reads derivatives of the orders {term.orders}; at "
+                f"the {term.place} there are {known}."
+            )
 
 
 def _resolution(source: Source, x, centres: int | None, graded: bool):
@@ -200,19 +246,22 @@ def assemble_problem(
     x,
     y,
     weights,
-    tension: float = 0.0,
+    energy: AbstractEnergy | None = None,
+    terms: Sequence[AbstractTerm] = (),
     data_volume: ScalarLike | None = None,
 ) -> Problem:
     """The same from a basis and a quadrature of your own; inputs are not checked."""
     if data_volume is None:
         data_volume = jnp.sum(domain.weights)
     energy_jets = jets_of(basis, domain.points, domain.frames, domain.second_forms)
-    free_jets = energy_jets
+    free_jets = None
     if np.any(np.asarray(domain.second_forms)):
         flat = jnp.zeros_like(domain.second_forms)
         free_jets = jets_of(basis, domain.points, domain.frames, flat)
     data_jets = value_jets(basis, x, energy_jets)
     pattern, energy_places, data_places = pattern_of(basis, energy_jets, data_jets)
+    energy = Eells() if energy is None else energy
+    places = {"quadrature": (domain.points, None), "data": (x, y)}
     return Problem(
         source=source,
         target=target,
@@ -228,9 +277,15 @@ def assemble_problem(
         pattern=pattern,
         energy_places=energy_places,
         data_places=data_places,
-        tension=tension_of(tension, energy_jets, domain.points, x, y, weights),
+        energy=energy,
+        energy_arguments=_arrays(energy.arguments(domain.points, None)),
+        terms=tuple((t, _arrays(t.arguments(*places[t.place]))) for t in terms),
         data_volume=jnp.asarray(data_volume),
     )
+
+
+def _arrays(arguments: PyTree) -> PyTree:
+    return jax.tree.map(jnp.asarray, arguments)
 
 
 def pattern_of(basis: LocalPolynomials, energy_jets: Jets, data_jets: Jets):

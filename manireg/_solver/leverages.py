@@ -6,10 +6,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._discretisation.jets import in_order
-from .._objective.densities import project_flat
 from .._objective.hessian import gauss_newton
-from .._objective.objective import Stage, at_data
 from .._objective.problem import psi_jets
+from .._objective.sites import Stage, at_site, sites
+from .._objective.terms import project_flat
 from .linear import DirectSolvers
 
 
@@ -17,12 +17,13 @@ def left_out_errors(
     w: Float[Array, "KC t"], stage: Stage, solvers: DirectSolvers
 ) -> Float[Array, " k"]:
     """Length of each datum's residual in the fit without it, to first order."""
-    problem = stage.problem
+    problem, (_, data) = stage.problem, sites(stage)
     jets, k, t = problem.data_jets, len(problem.y), problem.y.shape[1]
-    values = psi_jets(problem, jets, w)[:, :, 0]
-    slope = lambda target, psi: jax.jacfwd(lambda psi: project_flat(target, psi))(psi)
-    residual = at_data(stage, project_flat, values) - problem.y[jets.index]
-    projection = at_data(stage, slope, values)
+    psi = psi_jets(problem, jets, w)
+    slope = lambda near, jet, _: jax.jacfwd(lambda q: project_flat(near, q))(jet.value)
+    landed = lambda near, jet, _: project_flat(near, jet.value)
+    residual = at_site(data, landed, psi) - problem.y[jets.index]
+    projection = at_site(data, slope, psi)
 
     # J_i^T as columns: basis values (U) times D pi (t x t), one per datum and component
     columns = jnp.einsum("epu,eprt->eputr", jets.matrices[:, :, 0], projection)

@@ -10,18 +10,15 @@ import optimistix as optx
 from jaxtyping import Array, Float, ScalarLike
 
 from .._objective.hessian import exact, gauss_newton
-from .._objective.objective import Stage
-from .._objective.patches import local_target, moved
+from .._objective.patches import moved, patches_near
 from .._objective.problem import Problem
-from .._sources.sources import Ambient
+from .._objective.sites import Stage
 from ..manifolds import PointCloud
 from .linear import DirectSolvers
 from .minimum import Minimum, newton_solve
 from .newton import Newton, add_counts
 from .penalty_path import penalty_path
 
-GAUGE = 0.1  # gamma vol(M) of the projected energy: holds Psi near N, costs 1e-4 of E
-AMBIENT_GAUGE = 10.0  # of the penalised one on ambient sources, in one stage
 ROUNDING = 32.0  # times what one rounding of every number in the residuals changes
 ROUNDS = 12  # Newton solves on a point cloud, each on the patches of the one before
 ROUND_STEPS = 4  # trial steps of each: more are lost when the patches change
@@ -47,16 +44,14 @@ def newton_minimiser(
 
 def gauge(problem: Problem) -> Float[Array, ""]:
     """gamma of a solve in one stage."""
-    weight = AMBIENT_GAUGE if isinstance(problem.source, Ambient) else GAUGE
-    return weight / problem.volume
+    return problem.energy.gauge / problem.volume
 
 
 def stage_of(problem: Problem, lam, gamma, method: Method, w) -> Stage:
-    """The objective near the map with coefficients `w`. Psi of an ambient source is a map
-    of the whole neighbourhood, which does not stay on N: its energy is that of Psi, not of
-    its projection."""
-    projected = method == "projected" and not isinstance(problem.source, Ambient)
-    return Stage(problem, lam, gamma, projected, local_target(problem, w))
+    """The objective near the map with coefficients `w`."""
+    energy = problem.energy
+    energy = energy.penalised() if method == "penalty" else energy
+    return Stage(problem, lam, gamma, energy, patches_near(problem, w))
 
 
 def minimise(
@@ -99,12 +94,12 @@ def _rounds(newton: Newton, stage: Stage, w0, max_steps: int) -> Minimum:
     `max_steps` trial steps in all."""
     steps = min(ROUND_STEPS, max_steps)
 
-    def solve_round(rounds, w, local):
-        here = eqx.tree_at(lambda s: s.local, stage, local)
+    def solve_round(rounds, w, patches):
+        here = eqx.tree_at(lambda s: s.patches, stage, patches)
         found = newton_solve(newton, here, w, steps)
-        renewed = local_target(stage.problem, found.w, local, rounds)
+        renewed = patches_near(stage.problem, found.w, patches, rounds)
         assert renewed is not None
-        share = moved(local, renewed)
+        share = moved(patches, renewed)
         done = (found.result == optx.RESULTS.successful) & (share <= SETTLED)
         unsettled = optx.RESULTS.nonlinear_max_steps_reached
         result = optx.RESULTS.where(done, optx.RESULTS.successful, unsettled)
@@ -116,12 +111,12 @@ def _rounds(newton: Newton, stage: Stage, w0, max_steps: int) -> Minimum:
         return allowed & (found.result != optx.RESULTS.successful)
 
     def next_round(carry):
-        rounds, before, local = carry
-        found, local = solve_round(rounds + 1, before.w, local)
+        rounds, before, patches = carry
+        found, patches = solve_round(rounds + 1, before.w, patches)
         stats = add_counts(found.stats, before.stats)
-        return rounds + 1, found._replace(stats=stats), local
+        return rounds + 1, found._replace(stats=stats), patches
 
-    first = solve_round(1, w0, stage.local)
+    first = solve_round(1, w0, stage.patches)
     carry = jax.tree.map(jnp.asarray, (1, *first))
     rounds, found, _ = jax.lax.while_loop(unfinished, next_round, carry)
     return found._replace(stats={**found.stats, "num_rounds": rounds})

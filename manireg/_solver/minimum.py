@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 import optimistix as optx
 from jaxtyping import Array, Float, ScalarLike
 
-from .._objective.objective import Stage, objective
+from .._objective.objective import objective
+from .._objective.sites import Stage
 from .newton import Newton
 
 

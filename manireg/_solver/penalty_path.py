@@ -4,8 +4,10 @@ import jax
 import jax.numpy as jnp
 import optimistix as optx
 
-from .._objective.objective import Stage, objective
+from .._objective.energies import Eells
+from .._objective.objective import objective
 from .._objective.problem import Problem
+from .._objective.sites import Stage
 from .minimum import Minimum, newton_solve
 from .newton import Newton, add_counts
 
@@ -21,12 +23,12 @@ def penalty_path(problem: Problem, lam, w0, newton: Newton, max_steps: int) -> M
     1e-4 of the reach, or no longer halves (the basis cannot follow N more closely; more
     gamma would make the map worse)."""
     reach = jnp.minimum(jnp.asarray(problem.target.reach, float), 1e3)
-    on_target = Stage(problem, lam, 0.0, True)
+    on_target = Stage(problem, lam, 0.0, Eells())
     _, start = objective(w0, on_target)
     gamma = MARGIN * (start.loss + lam * start.eells) / (problem.volume * reach**2)
 
     def minimise(w, gamma):
-        stage = Stage(problem, lam, gamma, False)
+        stage = Stage(problem, lam, gamma, problem.energy.penalised())
         found = newton_solve(newton, stage, w, max_steps)
         _, energies = objective(found.w, stage)
         return found, energies.off_manifold

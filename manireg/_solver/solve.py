@@ -21,11 +21,12 @@ from .._discretisation.local_polynomials import (
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._objective.hessian import exact, gauss_newton
-from .._objective.objective import Energies, Stage, objective
+from .._objective.objective import Energies, objective
 from .._objective.problem import Problem
 from .._objective.resolution import warn_where_coarse
+from .._objective.sites import Stage
 from .._sources.checks import check_inputs, check_lam, is_concrete, projected
-from .._sources.sources import Ambient, Source
+from .._sources.sources import Source
 from ..manifolds import AbstractManifold
 from .linear import DirectSolvers, direct_solvers
 from .minimise import Method, minimise, newton_minimiser, stage_of
@@ -212,7 +213,7 @@ def _check_options(problem: Problem, method, starts, warm, max_steps: int):
             f"method: expected 'projected' or 'penalty', found {method!r}."
         )
     check_x64(problem)
-    if method == "projected" and isinstance(problem.source, Ambient):
+    if method == "projected" and not problem.energy.on_target:
         raise ValueError(
             "method: 'projected' is not defined on Ambient sources; leave it out, for the "
             "energy of the map of the neighbourhood, or take 'penalty'."

@@ -17,10 +17,11 @@ import numpy as np
 from jaxtyping import Array, Float, ScalarLike
 
 from .._discretisation.jets import jet_values
-from .._objective.assembly import VALUE, PointHessians, assembled
+from .._objective.assembly import PointHessians, assembled
 from .._objective.hessian import gauss_newton
-from .._objective.objective import Stage, objective
+from .._objective.objective import objective
 from .._objective.problem import Problem
+from .._objective.sites import Stage
 from .._objective.wavelengths import anchor
 from ..manifolds import Euclidean
 from .linear import DirectSolvers
@@ -46,7 +47,7 @@ def starts_of(
     first = jnp.where(direct, lam, jnp.minimum(lam, STRIDE * lams))
     free = jax.lax.map(lambda lam: free_solution(problem, lam, solvers), lams)
     stage = stage_of(problem, lam, gauge(problem), method, free[0])
-    if not stage.projected or stage.local is not None:
+    if not stage.energy.on_target or stage.patches is not None:
         return free, first
 
     project, exp = problem.target.project, problem.target.exp
@@ -82,10 +83,9 @@ def _nearest_maps(
 ) -> Float[Array, "n KC t"]:
     """Of the basis, by least squares over the quadrature points."""
     jets, weights = problem.energy_jets, problem.energy_weights
-    one = _first_coordinate(problem)
-    nothing = jnp.zeros((*problem.data_jets.mask.shape, 1, 1))
-    mass = PointHessians(weights[:, :, None, None], nothing)
-    factor = solvers.positive.init(assembled(one, mass, VALUE), {})
+    places = problem.energy_places
+    mass = PointHessians(weights[:, :, None, None], jets, places, rows=(0,))
+    factor = solvers.positive.init(assembled(problem.pattern, (mass,)), {})
 
     size = problem.pattern.size
     _, pull = jax.vjp(
@@ -102,8 +102,9 @@ def free_solution(
     problem: Problem, lam: ScalarLike, solvers: DirectSolvers
 ) -> Float[Array, "KC t"]:
     """The minimiser with N = R^t: a thin-plate spline, one linear solve."""
-    free = eqx.tree_at(lambda p: p.energy_jets, problem, problem.free_jets)
-    return _flat_solution(free, lam, solvers)
+    if problem.free_jets is not None:
+        problem = eqx.tree_at(lambda p: p.energy_jets, problem, problem.free_jets)
+    return _flat_solution(problem, lam, solvers)
 
 
 def _spline(problem: Problem, y, lam, solvers: DirectSolvers) -> Float[Array, "KC t"]:
@@ -114,13 +115,14 @@ def _spline(problem: Problem, y, lam, solvers: DirectSolvers) -> Float[Array, "K
 
 
 def _flat_solution(problem: Problem, lam, solvers: DirectSolvers):
-    ambient = Euclidean(problem.y.shape[1])
-    flat = eqx.tree_at(lambda p: p.target, problem, ambient)
+    where = lambda p: (p.target, p.energy, p.terms)
+    energy = problem.energy.penalised()
+    flat = eqx.tree_at(where, problem, (Euclidean(problem.y.shape[1]), energy, ()))
     w = jnp.zeros((problem.pattern.size, problem.y.shape[1]))
-    stage = Stage(flat, lam, 0.0, False)
+    stage = Stage(flat, lam, 0.0, energy)
     gradient = jax.grad(lambda w: objective(w, stage)[0])(w)
     # every coordinate has the same matrix
-    one = eqx.tree_at(lambda s: s.problem, stage, _first_coordinate(flat))
+    one = Stage(_first_coordinate(flat), lam, 0.0, energy.of_coordinate())
     factor = solvers.positive.init(gauss_newton(w[:, :1], one), {})
     return -solvers.positive.compute(factor, gradient[:, None], {})[0][:, 0]
 
@@ -128,8 +130,4 @@ def _flat_solution(problem: Problem, lam, solvers: DirectSolvers):
 def _first_coordinate(problem: Problem) -> Problem:
     where = lambda p: (p.target, p.y, p.origin)
     coordinate = (Euclidean(1), problem.y[:, :1], problem.origin[:1])
-    one = eqx.tree_at(where, problem, coordinate)
-    if problem.tension is None:
-        return one
-    derivative = problem.tension.derivative[:, :1]
-    return eqx.tree_at(lambda p: p.tension.derivative, one, derivative)
+    return eqx.tree_at(where, problem, coordinate)

@@ -76,4 +76,4 @@ def test_every_entry_point_checks(tmp_path):
     file.write_bytes(pickle.dumps((models, problem)))
     command = [sys.executable, "-c", PROGRAM, str(file)]
     run = subprocess.run(command, capture_output=True, text=True)
-    assert run.stdout == "22 []\n", run.stdout + run.stderr
+    assert run.stdout == "21 []\n", run.stdout + run.stderr

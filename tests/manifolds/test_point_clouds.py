@@ -10,7 +10,7 @@ from clouds import sphere_cloud, sphere_points, torus_cloud
 
 import manireg as mr
 from manireg._discretisation.jets import jet_values
-from manireg._objective.patches import local_target, moved
+from manireg._objective.patches import moved, patches_near
 from manireg._solver.linear import direct_solvers
 from manireg._solver.starts import free_solution
 from manireg.manifolds._scans.quadric_patch import QuadricPatch
@@ -218,13 +218,13 @@ def test_patches_near_a_map():
     problem = mr.make_problem(mr.Sphere(2), cloud, x, x, centres=40)
     problem = eqx.tree_at(lambda p: p.origin, problem, jnp.zeros(3))
     w = 0.4 * free_solution(problem, 1e-3, direct_solvers())
-    local = local_target(problem, w)
+    local = patches_near(problem, w)
     assert local is not None
     psi = jet_values(problem.energy_jets, w)[:, :, 0]
-    gap = np.linalg.norm(psi - local.at_quadrature.origin, axis=-1)
-    bend = np.linalg.norm(local.at_quadrature.bending, axis=(-2, -1))
+    gap = np.linalg.norm(psi - local.near[0].origin, axis=-1)
+    bend = np.linalg.norm(local.near[0].bending, axis=(-2, -1))
     assert gap.max() > 0.55 and np.max(gap * bend) < 0.5 + 1e-9
     quarter = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    same, turned = (local_target(problem, v, local) for v in (1.001 * w, w @ quarter))
+    same, turned = (patches_near(problem, v, local) for v in (1.001 * w, w @ quarter))
     assert same is not None and turned is not None
     assert float(moved(local, same)) == 0.0 and float(moved(local, turned)) > 0.5

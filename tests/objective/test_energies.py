@@ -11,7 +11,8 @@ from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
 import manireg as mr
-from manireg._objective.objective import Stage, objective
+from manireg._objective.objective import objective
+from manireg._objective.sites import Stage
 from manireg._solver.linear import direct_solvers
 from manireg._solver.starts import free_solution
 
@@ -264,7 +265,7 @@ def test_functions_on_flat_sources():
 def energy_through_the_basis(problem):
     """Of the map that follows dense exact data, as the objective sees it."""
     w = free_solution(problem, 1e-15, direct_solvers("sparse"))
-    return objective(w, Stage(problem, 1.0, 0.0, True))[1].eells
+    return objective(w, Stage(problem, 1.0, 0.0, problem.energy))[1].eells
 
 
 def observed_orders(source, target, map, points, centres, width, truth):

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import manireg as mr
+from manireg._objective.energies import Tension
 from manireg._objective.hessian import exact, gauss_newton
-from manireg._objective.objective import Stage, objective
+from manireg._objective.objective import objective
+from manireg._objective.sites import Stage
 
 SPHERE, SPACE = mr.Sphere(2), mr.Euclidean(3)
 X = np.asarray(SPHERE.random_points(jax.random.key(0), 15))
@@ -24,9 +26,8 @@ def problem(tension, y, target=SPACE, x=X):
 
 @pytest.mark.parametrize("target", [SPACE, SPHERE])
 def test_hessians(target):
-    stage = Stage(
-        problem(2.0, target.project(jnp.asarray(WILD)), target), 1e-2, 0.1, False
-    )
+    taut = problem(2.0, target.project(jnp.asarray(WILD)), target)
+    stage = Stage(taut, 1e-2, 0.1, taut.energy)
     size = stage.problem.pattern.size
     w = jax.random.normal(jax.random.key(1), (size, 3))
     dense = jax.jit(jax.hessian(lambda w: objective(w, stage)[0]))(w)
@@ -64,9 +65,9 @@ def test_between_the_spline_and_the_affine_map():
 
 def test_data_in_a_plane_say_nothing_across_it():
     flat = np.asarray(SPHERE.project(jnp.asarray(X * np.array([1.0, 1.0, 0.0]))))
-    tension = problem(1.0, WILD, x=flat).tension
-    assert tension is not None
-    np.testing.assert_allclose(tension.derivative[2], 0.0, atol=1e-9)
+    energy = problem(1.0, WILD, x=flat).energy
+    assert isinstance(energy, Tension)
+    np.testing.assert_allclose(energy.derivative[2], 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("tension", [-1.0, np.nan])

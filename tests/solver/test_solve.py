@@ -12,8 +12,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import manireg as mr
+from manireg._objective.energies import Eells, PenalisedEells
 from manireg._objective.hessian import exact, gauss_newton
-from manireg._objective.objective import Stage, objective
+from manireg._objective.objective import objective
+from manireg._objective.sites import Stage
 
 LAM = 1e-4
 
@@ -40,12 +42,14 @@ def predict(problem, lam):
 
 
 @pytest.mark.parametrize(
-    "projected", [pytest.param(True, marks=pytest.mark.slow), False]
+    "energy",
+    [pytest.param(Eells(), marks=pytest.mark.slow), PenalisedEells()],
+    ids=repr,
 )
-def test_hessians(problem, projected):
+def test_hessians(problem, energy):
     w = mr.solve(problem, 1e-2).coefficients
     w = w + 0.01 * jax.random.normal(jax.random.key(0), w.shape)
-    stage = Stage(problem, LAM, 0.1, projected)
+    stage = Stage(problem, LAM, 0.1, energy)
     dense = jax.jit(jax.hessian(lambda w: objective(w, stage)[0]))(w)
     dense = dense.reshape(w.size, w.size)
     sparse = exact(w, stage)
@@ -59,7 +63,7 @@ def test_hessians(problem, projected):
 
 def test_assembly_in_chunks(problem, monkeypatch):
     w = mr.solve(problem, 1e-2).coefficients
-    stage = Stage(problem, LAM, 0.1, False)
+    stage = Stage(problem, LAM, 0.1, PenalisedEells())
     whole = gauss_newton(w, stage).blocks
     elements, points, _, functions = problem.data_jets.matrices.shape
     of_element = 8 * 6 * points * functions  # 6 pairs of coordinates

@@ -15,8 +15,9 @@ from scipy.spatial.transform import Rotation
 import manireg as mr
 from manireg._discretisation.domain import discretise
 from manireg._objective.hessian import exact, gauss_newton
-from manireg._objective.objective import Stage, objective
+from manireg._objective.objective import objective
 from manireg._objective.problem import assemble_problem
+from manireg._objective.sites import Stage
 from manireg._solver.linear import direct_solvers
 from manireg._solver.starts import free_solution
 
@@ -117,7 +118,7 @@ def test_gauss_newton_is_exact_at_a_perfect_fit(sphere_problem):
     y = jnp.stack([jnp.cos(angle), 0.6 * jnp.sin(angle), 0.8 * jnp.sin(angle)], axis=1)
     problem = eqx.tree_at(lambda p: p.y, sphere_problem, y)
     w = mr.solve(problem, 1e-2).coefficients
-    stage = Stage(problem, 1e-2, 0.1, True)
+    stage = Stage(problem, 1e-2, 0.1, problem.energy)
     model, hessian = (
         np.asarray(h(w, stage).as_matrix()) for h in (gauss_newton, exact)
     )
@@ -143,7 +144,7 @@ def test_weight_two_is_a_datum_twice():
     w = eqx.filter_jit(free_solution)(weighted, 1e-3, direct_solvers())
     both = eqx.filter_jit(jax.value_and_grad(objective, has_aux=True))
     problems = (weighted, repeated, curve_problem(sphere, y))
-    values = [both(w, Stage(p, 1e-3, 0.1, True)) for p in problems]
+    values = [both(w, Stage(p, 1e-3, 0.1, p.energy)) for p in problems]
     values = [(value, gradient) for (value, _), gradient in values]
     np.testing.assert_allclose(values[0][0], values[1][0], rtol=1e-13)
     np.testing.assert_allclose(values[0][1], values[1][1], atol=1e-13)

@@ -1,0 +1,178 @@
+"""Energies: what lambda multiplies, each with the discretisation it needs."""
+
+import abc
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._discretisation.jets import second_derivative_pairs
+from .._discretisation.spacing import data_spacings
+from ..manifolds import AbstractManifold
+from .terms import AbstractTerm, Jet, project_flat
+
+THIN = 1e-2  # of the data's largest extent: across it the affine map is taken as 0
+
+
+class AbstractEnergy(AbstractTerm):
+    """A term of the integral over the source that smooths: of derivatives of order
+    `order`, times lambda, whose unit is a length to the power of `2 order - m`."""
+
+    order: ClassVar[int]
+    gauge: ClassVar[float]
+    """gamma vol(M) of solves in one stage."""
+    on_target: ClassVar[bool]
+    """Whether it is that of a map into N: then Newton starts on N."""
+    degree: ClassVar[int]
+    """Of the local polynomials, by default."""
+    widths: ClassVar[tuple[float, float]]
+    """Of their supports in spacings, by default: on curves, above."""
+
+    @abc.abstractmethod
+    def penalised(self) -> "AbstractEnergy":
+        """The one to be minimised with gamma raised in stages (`method="penalty"`)."""
+
+    @abc.abstractmethod
+    def of_coordinate(self) -> "AbstractEnergy":
+        """That of the first coordinate of maps into a Euclidean space."""
+
+    def factor(self, lam, gamma):
+        return lam
+
+
+class Eells(AbstractEnergy):
+    r"""The Eells density of $\pi \circ \Psi$, a map into N:
+    $P(D^2\pi[\partial_a\Psi, \partial_b\Psi] + D\pi\, H_{ab})$ (mathematics, 2.6 (ii)).
+    Blind to displacements of Psi normal to N."""
+
+    name = "eells"
+    place = "quadrature"
+    orders = (0, 1, 2)
+    order = 2
+    gauge = 0.1  # holds Psi near N, costs 1e-4 of E
+    on_target = True
+    degree = 2
+    widths = 2.5, 2.2
+
+    def residual(self, near: AbstractManifold, jet: Jet, args):
+        value, first, second = jet
+        push = lambda psi, v: jax.jvp(lambda p: project_flat(near, p), (psi,), (v,))[1]
+        rows = []
+        for (a, b), h in zip(second_derivative_pairs(len(first)), second):
+            rows.append(jax.jvp(push, (value, first[a]), (first[b], h))[1])
+        return _multiplicities(len(first)) * _to_tangent(near, value, rows)
+
+    def penalised(self):
+        return PenalisedEells()
+
+    def of_coordinate(self):
+        return self
+
+
+class PenalisedEells(AbstractEnergy):
+    r"""$|P(\pi(\Psi)) H|^2$: the Eells density of the paper's (2), (5) for maps near N.
+    The projector is that of the closest point, in any codimension."""
+
+    name = "eells"
+    place = "quadrature"
+    orders = (0, 2)
+    order = 2
+    gauge = 0.1
+    on_target = False
+    degree = 2
+    widths = 2.5, 2.2
+
+    def residual(self, near: AbstractManifold, jet: Jet, args):
+        return _bending(near, jet)
+
+    def penalised(self):
+        return self
+
+    def of_coordinate(self):
+        return self
+
+
+class AmbientEells(AbstractEnergy):
+    """The same of a map of the whole neighbourhood of the source, which does not stay on N
+    off it: in all directions of space, not of the projection, in one stage."""
+
+    name = "eells"
+    place = "quadrature"
+    orders = (0, 2)
+    order = 2
+    gauge = 10.0
+    on_target = False
+    degree = 1
+    widths = 1.5, 1.5
+
+    def residual(self, near: AbstractManifold, jet: Jet, args):
+        return _bending(near, jet)
+
+    def penalised(self):
+        return self
+
+    def of_coordinate(self):
+        return self
+
+
+class Tension(AbstractEnergy):
+    r"""$|P H|^2 + \tau |P (D\Psi - A)|^2 / h^2$ in the neighbourhood of the source: what
+    the first derivative costs, against A, that of the affine map of the data."""
+
+    tau: float
+    derivative: Float[Array, "s t"]
+    """A, of the least-squares affine map of the data."""
+    data: Float[Array, "k s"]
+    """Whose spacing around each point is h."""
+    name = "eells"
+    place = "quadrature"
+    orders = (0, 1, 2)
+    order = 2
+    gauge = 10.0
+    on_target = False
+    degree = 1
+    widths = 1.5, 1.5
+
+    def arguments(self, x, y):
+        return jnp.sqrt(self.tau) / data_spacings(np.asarray(x), np.asarray(self.data))
+
+    def residual(self, near: AbstractManifold, jet: Jet, args: Float[Array, ""]):
+        stretching = [row - a for row, a in zip(jet.first, self.derivative)]
+        stretching = args * _to_tangent(near, jet.value, stretching)
+        return jnp.concatenate([_bending(near, jet), stretching])
+
+    def penalised(self):
+        return self
+
+    def of_coordinate(self):
+        return Tension(self.tau, self.derivative[:, :1], self.data)
+
+
+def affine_derivative(
+    x: Float[Array, "k s"], y: Float[Array, "k t"], weights: Float[Array, " k"]
+) -> Float[Array, "s t"]:
+    """That of the affine map that fits the data best."""
+    share = np.asarray(weights / jnp.sum(weights))[:, None]
+    centre = lambda a: np.sqrt(share) * (a - np.sum(share * a, axis=0))
+    return jnp.asarray(np.linalg.lstsq(centre(x), centre(y), rcond=THIN)[0])
+
+
+def _bending(target: AbstractManifold, jet: Jet) -> Float[Array, "r t"]:
+    m = round((np.sqrt(8 * len(jet.second) + 1) - 1) / 2)
+    return _multiplicities(m) * _to_tangent(target, jet.value, jet.second)
+
+
+def _to_tangent(target: AbstractManifold, psi, vectors) -> Float[Array, "r t"]:
+    p = psi.reshape(target.point_shape)
+    project = lambda v: target.tangent_projection(p, v.reshape(p.shape)).ravel()
+    if len(vectors) == 1:  # of a curve: under vmap an exact Hessian takes a third more
+        return project(vectors[0])[None]
+    return jax.vmap(project)(jnp.stack(vectors))
+
+
+def _multiplicities(m: int) -> Float[Array, "pairs 1"]:
+    """Square roots: off-diagonal second derivatives count twice in |H|^2."""
+    pairs = second_derivative_pairs(m)
+    return jnp.array([[1.0 if a == b else np.sqrt(2.0)] for a, b in pairs])
