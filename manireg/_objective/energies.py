@@ -3,6 +3,7 @@
 import abc
 from typing import ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -121,7 +122,7 @@ class Tension(AbstractEnergy):
     r"""$|P H|^2 + \tau |P (D\Psi - A)|^2 / h^2$ in the neighbourhood of the source: what
     the first derivative costs, against A, that of the affine map of the data."""
 
-    tau: float
+    tau: Float[Array, ""] = eqx.field(converter=lambda v: jnp.asarray(v, float))
     derivative: Float[Array, "s t"]
     """A, of the least-squares affine map of the data."""
     data: Float[Array, "k s"]
@@ -136,11 +137,12 @@ class Tension(AbstractEnergy):
     widths = 1.5, 1.5
 
     def arguments(self, x, y):
-        return jnp.sqrt(self.tau) / data_spacings(np.asarray(x), np.asarray(self.data))
+        return 1 / data_spacings(np.asarray(x), np.asarray(self.data))
 
     def residual(self, near: AbstractManifold, jet: Jet, args: Float[Array, ""]):
         stretching = [row - a for row, a in zip(jet.first, self.derivative)]
-        stretching = args * _to_tangent(near, jet.value, stretching)
+        strength = jnp.sqrt(self.tau) * args
+        stretching = strength * _to_tangent(near, jet.value, stretching)
         return jnp.concatenate([_bending(near, jet), stretching])
 
     def penalised(self):

@@ -187,6 +187,18 @@ def make_problem(
     )
 
 
+def with_tension(problem: Problem, tension: float) -> Problem:
+    """The same problem, made with tension, with another: all else is shared."""
+    check_tension(tension, problem.source)
+    assert isinstance(problem.energy, Tension)
+    energy, arguments = AmbientEells(), ()
+    if tension > 0:
+        energy = eqx.tree_at(lambda e: e.tau, problem.energy, jnp.asarray(tension))
+        arguments = problem.energy_arguments
+    where = lambda p: (p.energy, p.energy_arguments)
+    return eqx.tree_at(where, problem, (energy, arguments))
+
+
 def _default_energy(source: Source, tension: float, x, y, weights) -> AbstractEnergy:
     if sampled(source) is source:
         return Eells()

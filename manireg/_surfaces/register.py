@@ -14,7 +14,7 @@ import trimesh
 from jaxtyping import ArrayLike, Float, Int, ScalarLike
 
 from .._input.precision import check_x64
-from .._objective.problem import make_problem
+from .._objective.problem import make_problem, with_tension
 from .._selection.cross_validate import CrossValidation
 from .._selection.leave_one_out import RTOL, cut_errors, leave_one_out
 from .._solver.solve import RegressionMap, evaluate, solve
@@ -125,8 +125,9 @@ def register(
         check_orientation(x, y, _normals(cloud, x), _normals(onto, y))
     padded = onto.padded(-(-len(onto.points) // PAD) * PAD)
     choices = _choices(geometry, centres, tension)
+    several = sum(map(len, choices.values())) > 1
     found: list[tuple[RegressionMap, CrossValidation | None]] = []
-    for of, count, tau in choices:
+    for (of, count), taus in choices.items():
         problem = make_problem(
             _with_geometry(cloud, of),
             padded,
@@ -135,7 +136,7 @@ def register(
             centres=count,
             degree=1,
             graded=True,
-            tension=tau,
+            tension=max(taus),
         )
         nothing = jnp.zeros((problem.pattern.size, 3))
         if not evaluate(problem.basis, nothing, cloud.points, problem.origin)[1]:
@@ -143,13 +144,15 @@ def register(
                 "source: some vertices lie outside the support of every centre; take more "
                 "`centres`."
             )
-        if lam is None or len(choices) > 1:
-            lams = None if lam is None else jnp.atleast_1d(lam)
-            cv = leave_one_out(problem, lams, progress=progress)
-            found.append((cv.model, cv))
-        else:
-            model = solve(problem, lam, starts=(1.0,), rtol=RTOL, throw=False)
-            found.append((model, None))
+        for tau in taus:
+            taut = problem if tau == max(taus) else with_tension(problem, tau)
+            if lam is None or several:
+                lams = None if lam is None else jnp.atleast_1d(lam)
+                cv = leave_one_out(taut, lams, progress=progress)
+                found.append((cv.model, cv))
+            else:
+                model = solve(taut, lam, starts=(1.0,), rtol=RTOL, throw=False)
+                found.append((model, None))
     model, cv = min(found, key=lambda fit: _predicted_error(fit[1]))
     _check_result(model)
     psi = evaluate(model.basis, model.coefficients, cloud.points, model.origin)[0]
@@ -174,15 +177,13 @@ def _check_result(model: RegressionMap) -> None:
         )
 
 
-def _choices(geometry, centres, tension) -> list[tuple[str, int, float]]:
-    """All combinations; the intrinsic energy has no tension."""
+def _choices(geometry, centres, tension) -> dict[tuple[str, int], tuple[float, ...]]:
+    """Tensions to be tried with each geometry and number of centres; the intrinsic energy
+    has none."""
     several = lambda value: (value,) if np.ndim(value) == 0 else tuple(value)
-    products = itertools.product(*map(several, (geometry, centres, tension)))
-    return list(
-        dict.fromkeys(
-            (of, n, tau if of == "ambient" else 0.0) for of, n, tau in products
-        )
-    )
+    taus = {"ambient": tuple(dict.fromkeys(several(tension)))}
+    pairs = itertools.product(several(geometry), several(centres))
+    return {(of, n): taus.get(of, (0.0,)) for of, n in pairs}
 
 
 def _with_geometry(cloud: PointCloud, geometry: str):
