@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import manireg as mr
-from manireg._selection.folds import evaluated, training_sets
+from manireg._selection.choice import evaluated
+from manireg._selection.folds import training_sets
 
 INTERVAL, LINE = mr.Interval(0, 1), mr.Euclidean(1)
 K = 40
