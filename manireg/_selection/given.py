@@ -8,6 +8,7 @@ import numpy as np
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._objective.problem import Problem, make_problem
+from ..manifolds import AbstractManifold
 
 
 def problem_and_lams(
@@ -27,7 +28,7 @@ def problem_and_lams(
             )
         return make_problem(source, target, x, y, **options), lams
     check_x64(source)
-    if lams is None and x is None and y is None:
+    if lams is None and not isinstance(target, AbstractManifold):
         lams, data["target"] = target, None
     parameters = signature(make_problem).parameters
     defaults = {name: parameters[name].default for name in options}
