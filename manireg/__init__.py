@@ -19,12 +19,10 @@ from ._objective.objective import Energies as Energies
 from ._objective.problem import Problem as Problem, make_problem as make_problem
 from ._objective.resolution import ResolutionWarning as ResolutionWarning
 from ._objective.terms import AbstractTerm as AbstractTerm
-from ._selection.cross_validate import (
-    CrossValidation as CrossValidation,
-    cross_validate as cross_validate,
-    lambda_grid as lambda_grid,
-)
+from ._selection.choice import CrossValidation as CrossValidation
+from ._selection.cross_validate import cross_validate as cross_validate
 from ._selection.fit import fit as fit
+from ._selection.lambda_grid import lambda_grid as lambda_grid
 from ._selection.leave_one_out import leave_one_out as leave_one_out
 from ._selection.sweep import sweep as sweep
 from ._solver.solve import RegressionMap as RegressionMap, solve as solve

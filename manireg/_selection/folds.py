@@ -1,8 +1,5 @@
-"""What every cross-validation here shares: folds, score, grids. Ours and the baselines'
-use the same, so that methods are compared by the same rules."""
-
-from collections.abc import Callable
-from typing import Any
+"""Random folds, and the error on those held out. Ours and the baselines' are the same, so
+that methods are compared by the same rules."""
 
 import jax
 import jax.numpy as jnp
@@ -12,8 +9,6 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 from ..manifolds import AbstractManifold
 
 FOLDS = 10  # unless there are fewer data
-GRID = 20  # values of a default grid
-WIDENINGS = 2  # times it may be extended past an edge
 
 
 def training_sets(
@@ -50,40 +45,3 @@ def held_out_error(
     held_out = weights * ~training
     errors = jnp.sqrt(target.squared_distance(*points))
     return jnp.sum(held_out * errors) / jnp.sum(held_out)
-
-
-def evaluated(
-    grid: Float[Array, " n"], evaluate: Callable[[Array], Any], widen: bool
-) -> tuple[Array, Any, int]:
-    """`grid`, `evaluate(grid)` and the index of the best value.
-
-    `evaluate` gives a tuple of arrays `(folds, n, ...)`, scores first. With `widen`, while
-    the best mean score sits on an edge, the grid is extended past it by a quarter of its
-    range (in as many values as before: compiled programs are used again), at most twice.
-    """
-    best_of = lambda results: _lowest(jnp.mean(results[0], axis=0))
-    results = evaluate(grid)
-    ratios = (grid[-1] / grid[0]) ** (0.25 * jnp.arange(1, len(grid) + 1) / len(grid))
-    for _ in range(WIDENINGS if widen else 0):
-        best = best_of(results)
-        if 0 < best < len(grid) - 1:
-            break
-        below = best == 0
-        new = grid[0] / ratios[::-1] if below else grid[-1] * ratios
-        join = lambda old, new, axis: jnp.concatenate(
-            [new, old] if below else [old, new], axis=axis
-        )
-        results = jax.tree.map(lambda a, b: join(a, b, 1), results, evaluate(new))
-        grid = join(grid, new, 0)
-    return grid, results, best_of(results)
-
-
-def _lowest(scores: Float[Array, " n"]) -> int:
-    """Of those that are numbers."""
-    means = np.asarray(scores)
-    if not np.any(np.isfinite(means)):
-        raise ValueError(
-            "cross-validation: no value of the grid has a finite score. Give a grid of "
-            "your own, or a value."
-        )
-    return int(np.argmin(np.where(np.isnan(means), np.inf, means)))

@@ -15,8 +15,9 @@ from jaxtyping import ArrayLike, Float, Int, ScalarLike
 
 from .._input.precision import check_x64
 from .._objective.problem import make_problem, with_tension
-from .._selection.cross_validate import CrossValidation
-from .._selection.leave_one_out import RTOL, cut_errors, leave_one_out
+from .._selection.choice import CrossValidation
+from .._selection.leave_one_out import leave_one_out
+from .._selection.scores import RTOL, cut_errors
 from .._solver.solve import RegressionMap, evaluate, solve
 from .._sources.checks import check_landmarks
 from .._sources.sources import Ambient

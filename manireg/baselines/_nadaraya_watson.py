@@ -8,7 +8,9 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray, ScalarLike
 
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
-from .._selection.folds import GRID, evaluated, held_out_error, training_sets
+from .._selection.choice import evaluated
+from .._selection.folds import held_out_error, training_sets
+from .._selection.lambda_grid import GRID
 from .._sources.checks import check_data, check_grid, check_positive
 from .._sources.sources import Source
 from ..manifolds import AbstractManifold

@@ -8,8 +8,9 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from .._discretisation.local_polynomials import LocalPolynomials
 from .._input.numbers import Numbers
 from .._objective.problem import Problem, make_problem, psi_at_data
-from .._selection.cross_validate import lambda_grid
-from .._selection.folds import evaluated, held_out_error, training_sets
+from .._selection.choice import evaluated
+from .._selection.folds import held_out_error, training_sets
+from .._selection.lambda_grid import lambda_grid
 from .._solver.linear import DirectSolvers, direct_solvers
 from .._solver.solve import evaluate
 from .._solver.starts import free_solution

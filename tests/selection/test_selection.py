@@ -4,13 +4,15 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import manireg as mr
-from manireg._selection.folds import evaluated, training_sets
+from manireg._selection.choice import evaluated
+from manireg._selection.folds import training_sets
 
 INTERVAL, LINE = mr.Interval(0, 1), mr.Euclidean(1)
 K = 40
@@ -58,6 +60,26 @@ def test_scores_by_hand(chosen):
     np.testing.assert_allclose(chosen.scores[3, 12], held_out, rtol=1e-4)
     assert chosen.lam == chosen.lams[np.argmin(chosen.scores.mean(0))]
     assert chosen.score == chosen.scores.mean(0).min()
+    assert chosen.rule == "lowest" and not chosen.on_edge
+
+
+def test_a_problem_in_place_of_data(chosen):
+    y = (truth(X) + NOISE)[:, None]
+    problem = mr.make_problem(INTERVAL, LINE, X, y, centres=40)
+    result = mr.cross_validate(problem, folds=4, progress=False)
+    np.testing.assert_array_equal(result.lams, chosen.lams)
+    np.testing.assert_array_equal(result.scores, chosen.scores)
+    np.testing.assert_array_equal(result.model.coefficients, chosen.model.coefficients)
+    lams = chosen.lams[jnp.array([12, 10, 11])]
+    given = mr.cross_validate(problem, lams, folds=4, progress=False)
+    np.testing.assert_array_equal(given.lams, chosen.lams[10:13])
+
+
+def test_fit_without_lambda_chooses_it(chosen):
+    y = (truth(X) + NOISE)[:, None]
+    model = mr.fit(INTERVAL, LINE, X, y, centres=40, folds=4, progress=False)
+    assert model.lam == chosen.lam
+    np.testing.assert_array_equal(model.coefficients, chosen.model.coefficients)
 
 
 def test_reproducible_with_the_key(chosen):
@@ -93,6 +115,7 @@ def test_grid_widens_when_the_best_lies_on_its_edge(chosen):
     down = choose(np.sin(30 * X))
     assert len(down.lams) > 20
     assert down.lam < mr.lambda_grid(problem_of(X))[0]
+    assert up.on_edge == (up.lam == up.lams[-1])
     for result in (up, down):
         assert np.all(np.diff(result.lams) > 0)
         assert result.lam == result.lams[np.argmin(result.scores.mean(0))]
@@ -202,3 +225,21 @@ def test_curve_on_the_sphere():
     error = np.sqrt(np.mean(np.sum((result.model(NEW) - circle(NEW)) ** 2, axis=1)))
     assert error < 0.05
     assert result.score == pytest.approx(0.1 * np.sqrt(np.pi / 2), rel=0.3)
+
+
+def test_sphere_source():
+    """Scores are those of fits without the fold."""
+    rng = np.random.default_rng(4)
+    sphere = mr.Sphere(2)
+    x = sphere.project(jnp.asarray(rng.normal(size=(K, 3))))
+    y = (x[:, 2] ** 2 + x[:, 0] * x[:, 1])[:, None] + 0.1 * rng.normal(size=(K, 1))
+    problem = mr.make_problem(sphere, LINE, x, y, centres=30)
+    lams = [1e-4, 1e-6, 1e-2]
+    result = mr.cross_validate(problem, lams, folds=3, progress=False)
+    assert np.all(result.converged) and result.lam == 1e-4
+    assert not result.on_edge
+    for fold, inside in enumerate(training_sets(np.ones(K), 3, None)):
+        weights = jnp.asarray(inside, float)
+        without = eqx.tree_at(lambda p: p.weights, problem, weights)
+        off = np.abs(mr.solve(without, 1e-4)(x) - y)[~inside]
+        np.testing.assert_allclose(result.scores[fold, 1], off.mean(), rtol=1e-4)

@@ -1,42 +1,13 @@
-"""Leave-one-out scores against refits; registration of surfaces with known maps."""
+"""Registration of surfaces with known maps."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from curves import X, curve_problem
 from typer.testing import CliRunner
 
 import manireg as mr
 from manireg._cli.app import app
-
-
-def refitted_errors(problem, lam):
-    """Distance of each datum from the fit to all others, with their factor 1/k kept: the
-    weights of the others stay what they were, so lambda grows by k / (k - 1)."""
-    k = len(problem.y)
-    errors = []
-    for i in range(k):
-        weights = problem.weights.at[i].set(0.0)
-        without = eqx.tree_at(lambda p: p.weights, problem, weights)
-        model = mr.solve(without, lam * k / (k - 1))
-        errors.append(jnp.linalg.norm(model(problem.x[i])[0] - problem.y[i]))
-    return np.array(errors)
-
-
-def test_linear_leave_one_out_is_exact():
-    y = np.stack([np.sin(3 * X), np.cos(2 * X) + X], axis=1)
-    y += 0.2 * np.random.default_rng(0).normal(size=y.shape)
-    problem = curve_problem(mr.Euclidean(2), y)
-    loo = mr.leave_one_out(problem, [1e-4, 1e-2], progress=False)
-    assert loo.scores.shape == (len(X), 2)
-    expected = refitted_errors(problem, 1e-2)
-    np.testing.assert_allclose(loo.scores[:, 1], expected, rtol=1e-6)
-    cut = np.minimum(loo.scores, np.quantile(loo.scores, 0.9, axis=0)[None])
-    means, best = cut.mean(0), cut[:, cut.mean(0).argmin()]
-    allowed = best.mean() + best.std(ddof=1) / np.sqrt(len(X))
-    assert loo.lam == loo.lams[means <= allowed].max()
 
 
 def bend(p):

@@ -1,0 +1,41 @@
+"""Grids of lambda, from the wavelengths that the data can tell apart."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._input.precision import check_x64
+from .._objective.problem import Problem
+from .._objective.wavelengths import lambda_of_wavelength, mean_spacing
+from .._sources.sources import sampled_dim
+
+GRID = 20  # values of a default grid
+LONGEST = 2.7  # wavelength at the top of a short one, in spacings of the data
+VALUES, RATIO = 5, 3.4  # of it: down to wavelengths of 0.8 spacings
+
+
+def lambda_grid(problem: Problem, n: int | None = None) -> Float[Array, " n"]:
+    r"""Scale-free grid, equal steps of log lambda: lambda = (l / 2 pi)^4 / V for
+    wavelengths l from the spacing of the data, (V/k)^{1/m}, to twice the size of M,
+    vol(M)^{1/m}. V is the volume that the data fill: vol(M), or where they cluster (see
+    `centres` in `make_problem`) k times that of their median spacing.
+
+    `n` defaults to 20, or where the data cluster to as many as take the same steps.
+
+    A perturbation of wavelength l adds to loss and penalty alike at that lambda, whatever
+    the scale of the target. Below the spacing the data say nothing.
+    """
+    check_x64(problem)
+    size = problem.volume ** (1 / sampled_dim(problem.source))
+    low = jnp.log(lambda_of_wavelength(problem, mean_spacing(problem)))
+    high = jnp.log(lambda_of_wavelength(problem, 2 * size))
+    if n is None:
+        even = 4 * (np.log(2) + np.log(len(problem.y)) / sampled_dim(problem.source))
+        n = 1 + round((GRID - 1) * max(1.0, float(high - low) / even))
+    return jnp.exp(jnp.linspace(low, high, n))
+
+
+def short_grid(problem: Problem) -> Float[Array, " lams"]:
+    """Around the spacing of the data: five values, each 3.4 times the one before."""
+    longest = lambda_of_wavelength(problem, LONGEST * mean_spacing(problem))
+    return longest * RATIO ** -jnp.arange(VALUES)[::-1]

@@ -1,0 +1,70 @@
+"""Along log lambda: one fit after another, each started where the one before ended. In
+which order is a plan, made beforehand; what is fitted is the score's business."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from tqdm.auto import tqdm
+
+from .scores import AbstractScore, Fit
+
+HOPELESS = 2.0  # times the best mean score
+
+
+class Leg(NamedTuple):
+    """Lambdas to visit one after another; ends at one that has been visited before."""
+
+    lams: Sequence[float]
+    after: float | None = None
+    """The visited lambda from which it goes on; None: from the score's own start."""
+    limit: float = np.inf
+    """Ends where the mean score is so many times the lowest on the way."""
+
+
+def up_and_down(
+    grid: Sequence[float], middle: float, to_the_end: bool
+) -> Sequence[Leg]:
+    """From the lambda next to `middle` up and down, as far as there is hope. `to_the_end`:
+    all the way down, and what is left above from its upper end downwards."""
+    at = int(np.argmin(np.abs(np.log(np.asarray(grid) / middle))))
+    first, above, below = grid[at], grid[at + 1 :], grid[:at][::-1]
+    down_to = np.inf if to_the_end else HOPELESS
+    plan = [Leg([first]), Leg(above, first, HOPELESS), Leg(below, first, down_to)]
+    return [*plan, Leg(above[::-1])] if to_the_end else plan
+
+
+def downwards(grid: Sequence[float], visited: Iterable[float]) -> Sequence[Leg]:
+    """From the largest lambda, or from the visited one next to it, down to the least."""
+    apart = lambda lam: abs(np.log(lam / grid[-1]))
+    return [Leg(grid[::-1], min(visited, key=apart, default=None))]
+
+
+def follow(
+    score: AbstractScore,
+    plan: Sequence[Leg],
+    visited: Mapping[float, Fit],
+    progress: bool,
+) -> dict[float, Fit]:
+    """The fits of the plan, in addition to those `visited` before it."""
+    fits: dict[float, Fit] = {}
+    lowest = np.inf
+    planned = len({lam for leg in plan for lam in leg.lams})
+    with tqdm(total=planned, desc="lambdas", disable=not progress) as bar:
+        for leg in plan:
+            place = None if leg.after is None else {**visited, **fits}[leg.after].place
+            for lam in leg.lams:
+                if lam in fits:
+                    break
+                # a Python number would be compiled into the program
+                traced = jnp.asarray(lam, float)
+                place = score.start(traced) if place is None else place
+                fits[lam] = score.fit(traced, place)
+                place = fits[lam].place
+                bar.update()
+                mean = float(np.mean(score.trimmed(fits[lam].scores)))
+                lowest = min(lowest, mean)
+                if mean > leg.limit * lowest:
+                    break
+    return fits

@@ -1,0 +1,95 @@
+"""Leave-one-out scores against fits without the datum."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from curves import INTERVAL, X, curve_problem, sphere_data
+
+import manireg as mr
+
+K = len(X)
+Y = np.stack([np.sin(3 * X), np.cos(2 * X) + X], axis=1)
+Y += 0.2 * np.random.default_rng(0).normal(size=Y.shape)
+WEIGHTS = np.array([1.0, 0.0, 2.0, 0.5, 1.0, 3.0, 0.0, 1.5])
+
+
+def refitted_errors(problem, lam):
+    """Distance of each datum of positive weight from the fit to all others, with their
+    factors kept: the shares of the others stay what they were, so lambda grows by
+    1 / (1 - s), s the share of the datum; times the weights relative to their mean."""
+    weights, errors = np.asarray(problem.weights), []
+    for i in np.flatnonzero(weights):
+        without = eqx.tree_at(
+            lambda p: p.weights, problem, problem.weights.at[i].set(0.0)
+        )
+        share = weights[i] / weights.sum()
+        model = mr.solve(without, lam / (1 - share))
+        off = jnp.linalg.norm(model(problem.x[i])[0] - problem.y[i])
+        errors.append(off * weights[i] / weights[weights > 0].mean())
+    return np.array(errors)
+
+
+def test_linear_leave_one_out_is_exact():
+    problem = curve_problem(mr.Euclidean(2), Y)
+    loo = mr.leave_one_out(problem, [1e-4, 1e-2], progress=False)
+    assert loo.scores.shape == (K, 2)
+    expected = refitted_errors(problem, 1e-2)
+    np.testing.assert_allclose(loo.scores[:, 1], expected, rtol=1e-6)
+    cut = np.minimum(loo.scores, np.quantile(loo.scores, 0.9, axis=0)[None])
+    means, best = cut.mean(0), cut[:, cut.mean(0).argmin()]
+    allowed = best.mean() + best.std(ddof=1) / np.sqrt(K)
+    assert loo.lam == loo.lams[means <= allowed].max()
+    assert loo.rule == "one standard error" and loo.on_edge
+
+
+def test_weights():
+    """Those of zero have no score, and the others that of the fit without them."""
+    problem = curve_problem(mr.Euclidean(2), Y, weights=WEIGHTS)
+    loo = mr.leave_one_out(problem, [1e-4, 1e-2], progress=False)
+    assert loo.scores.shape == (K - 2, 2)
+    expected = refitted_errors(problem, 1e-2)
+    np.testing.assert_allclose(loo.scores[:, 1], expected, rtol=1e-6)
+
+
+def test_curve_on_the_sphere():
+    """To first order in the residuals."""
+    smooth = mr.solve(curve_problem(mr.Sphere(2), sphere_data()), 1e-3)(X)
+    noise = 0.01 * np.random.default_rng(2).normal(size=smooth.shape)
+    y = mr.Sphere(2).project(smooth + noise)
+    problem = curve_problem(mr.Sphere(2), y)
+    loo = mr.leave_one_out(problem, [1e-5], progress=False)
+    expected = refitted_errors(problem, 1e-5)
+    np.testing.assert_allclose(loo.scores[:, 0], expected, rtol=0.02)
+
+
+def test_data_in_place_of_a_problem():
+    problem = curve_problem(mr.Euclidean(2), Y, weights=WEIGHTS)
+    by_problem = mr.leave_one_out(problem, progress=False)
+    by_data = mr.leave_one_out(
+        INTERVAL, mr.Euclidean(2), X, Y, weights=WEIGHTS, centres=80, progress=False
+    )
+    np.testing.assert_array_equal(by_data.scores, by_problem.scores)
+    np.testing.assert_array_equal(by_data.lams, by_problem.lams)
+    assert by_data.lam == by_problem.lam == by_data.model.lam
+    assert len(by_data.lams) >= 5
+
+
+@pytest.mark.parametrize("choose", [mr.leave_one_out, mr.cross_validate])
+def test_a_problem_or_data_but_not_both(choose):
+    line = mr.Euclidean(2)
+    problem = curve_problem(line, Y)
+    with pytest.raises(
+        ValueError, match="^x, y: missing; give source, target, x and y"
+    ):
+        choose(INTERVAL, line)
+    with pytest.raises(
+        ValueError, match="^target, x, y: a `Problem` has these already"
+    ):
+        choose(problem, line, X, Y)
+    with pytest.raises(ValueError, match="^target: a `Problem` has these"):
+        choose(problem, line)
+    with pytest.raises(ValueError, match="^weights, centres, graded: a `Problem` has"):
+        choose(problem, weights=WEIGHTS, centres=80, graded=True)
+    with pytest.raises(ValueError, match="^lams: lambda must be positive and finite"):
+        choose(problem, [-1.0], progress=False)
