@@ -33,7 +33,7 @@ def replaced(array, index, value):
 @pytest.mark.parametrize(
     ("x", "y", "message"),
     [
-        (X[:, None], Y, r"x: expected shape \(k,\) for the interval \[0, 1\], found \("),
+        (np.c_[X, X], Y, r"x: expected shape \(k,\) for the interval \[0, 1\], found \("),
         (X, Y[:, :2], r"y: expected shape \(k, 3\) for Sphere, found \(9, 2\)"),
         (X, Y[:5], "y: expected 9 points, one for each input, found 5"),
         (replaced(X, 3, np.nan), Y, "x: 1 of 9 points hold NaN or infinity .* index 3"),
