@@ -29,8 +29,8 @@ class Chart(eqx.Module):
     box is empty or the lengths differ.
     """
 
-    lower: Float[np.ndarray, " m"] = eqx.field(converter=lambda v: _ends(v))
-    upper: Float[np.ndarray, " m"] = eqx.field(converter=lambda v: _ends(v))
+    lower: Float[np.ndarray, " _"] = eqx.field(converter=lambda v: _ends(v))
+    upper: Float[np.ndarray, " _"] = eqx.field(converter=lambda v: _ends(v))
     periodic: tuple[bool, ...] = eqx.field(converter=lambda v: _answers(v))
     embed: Callable[[Array], Array]
 

@@ -152,7 +152,8 @@ for mistake in (
     )
     assert run.stdout.splitlines() == [
         "target: expected a manireg manifold, found Box.",
-        "source: expected an Interval, a Box, an Ambient or a manifold, found tuple.",
+        "source: expected an Interval, a Circle, a Box, an Ambient, a manifold or another "
+        "AbstractSource, found tuple.",
         "method: expected 'projected' or 'penalty', found 'newton'.",
     ]
 
