@@ -124,16 +124,15 @@ def test_what_a_circle_does_not_take():
 
 
 def test_gait_cycles_are_closed_curves_of_rotations(data_folder):
-    """One cycle from another session of the same person, better than from its noisy
-    copy: smoothing takes the noise away, and stays closed."""
+    """Of a noisy cycle, half of the noise is smoothed away, and the curve is closed."""
     table = np.load(data_folder / "tables" / "so3_gait_vespa64.npz")
     cycle = table["quaternion_wxyz"][0].astype(float)
     true = Rotation.from_quat(cycle, scalar_first=True)
     percent = table["time"]
     turns = np.radians(3) * np.random.default_rng(0).normal(size=(34, 3))
     seen = true[::3] * Rotation.from_rotvec(turns)
-    gait = mr.fit(mr.Circle(100), mr.SpecialOrthogonal(3), percent[::3], seen, 300.0)
+    gait = mr.fit(mr.Circle(100), mr.SpecialOrthogonal(3), percent[::3], seen, 10.0)
     found = Rotation.from_matrix(np.asarray(gait(percent)))
     error = lambda a, b: np.degrees(np.mean((a.inv() * b).magnitude()))
-    assert error(found, true) < 0.7 * error(seen, true[::3])
+    assert error(found, true) < 0.5 * error(seen, true[::3])
     np.testing.assert_allclose(gait(100.0), gait(0.0), atol=1e-12)

@@ -87,9 +87,7 @@ def test_a_smooth_function_on_it_is_found():
         jax.block_until_ready(jax.jit(model)(3 * new[0]))
 
 
-def test_a_manifold_with_a_chart_of_its_own():
-    """Its quadrature, not quasi-uniform points."""
-
+def test_a_chart_has_no_pole():
     class Pole(mr.AbstractSource):
         dim = 2
         point_shape = (3,)
@@ -122,5 +120,5 @@ def test_without_a_chart():
     ],
 )
 def test_bad_charts(lower, upper, periodic, message):
-    with pytest.raises(ValueError, match=f"Chart: {message}"):
+    with pytest.raises(ValueError, match=f"Chart: .*{message}"):
         mr.Chart(lower, upper, periodic, lambda u: u)
