@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._sources.charts import Atlas
-from .quadrature import Sample
+from .._source import Atlas
+from .quadrature import Sample, geometry_of
 
 Spacing = Callable[[Float[np.ndarray, "n s"]], Float[np.ndarray, " n"]]
 BATCH = 512  # points embedded at a time: few shapes, few compilations
@@ -33,7 +33,7 @@ def graded_cells(atlas: Atlas, spacing: Spacing, most: float = np.inf) -> Cells 
     cells = Cells(np.arange(len(atlas.lower)), atlas.lower, atlas.upper)
     done, count = [], 0
     while len(cells.chart):
-        points, jacobian = _embedded(atlas, cells, MIDPOINT)[:2]
+        points, jacobian = _embedded(atlas, cells, MIDPOINT)
         edges = np.linalg.norm(jacobian, axis=1) * (cells.upper - cells.lower)
         large = np.max(edges, axis=1) > np.sqrt(2) * spacing(points)
         done.append(jax.tree.map(lambda a, keep=~large: a[keep], cells))
@@ -54,7 +54,7 @@ def even_cells(atlas: Atlas, spacing: Spacing, most: float = np.inf) -> Cells | 
     if fine is None:
         return None
     order = np.argsort(fine.lower[:, 0])
-    points, _, lengths = on_cells(atlas, fine)
+    points, *_, lengths = on_cells(atlas, fine)
     passed = np.append(0.0, np.cumsum((lengths / spacing(np.asarray(points)))[order]))
     n = max(3, round(passed[-1]))
     if n > most:
@@ -78,27 +78,28 @@ def _halved(cells: Cells, axis: Int[np.ndarray, " n"]) -> Cells:
 
 def on_cells(atlas: Atlas, cells: Cells, rule=MIDPOINT) -> Sample:
     """The product of a rule `(nodes, weights)` on [-1, 1], mean 1, in every cell."""
-    points, jacobian, weights = _embedded(atlas, cells, rule)
-    frames, triangle = np.linalg.qr(jacobian)
-    volume = np.abs(np.prod(np.diagonal(triangle, axis1=1, axis2=2), axis=1))
-    return points, frames, volume * weights
+    points, jacobian, hessian = _embedded(atlas, cells, rule, order=2)
+    frames, forms, volume = geometry_of(jacobian, hessian)
+    m = cells.lower.shape[1]
+    weights = np.prod(np.stack(np.meshgrid(*[rule[1]] * m, indexing="ij")), axis=0)
+    boxes = np.prod(cells.upper - cells.lower, axis=1)[:, None]
+    return points, frames, forms, volume * (boxes * weights.ravel()).ravel()
 
 
-def _embedded(atlas: Atlas, cells: Cells, rule):
-    """Points, derivatives of the chart and weights in coordinates."""
+def _embedded(atlas: Atlas, cells: Cells, rule, order: int = 1) -> list[np.ndarray]:
+    """Points, and derivatives of the chart up to `order`."""
     m = cells.lower.shape[1]
     nodes = np.stack(np.meshgrid(*[rule[0]] * m, indexing="ij"), -1).reshape(-1, m)
-    weights = np.prod(np.stack(np.meshgrid(*[rule[1]] * m, indexing="ij")), axis=0)
     half = 0.5 * (cells.upper - cells.lower)[:, None]
     u = 0.5 * (cells.lower + cells.upper)[:, None] + half * nodes
-    volumes = np.prod(2 * half, axis=2)
     labels = np.repeat(atlas.labels[cells.chart], len(nodes), axis=0)
     u, n = u.reshape(-1, m), len(labels)
+    derivatives = [atlas.embed]
+    for _ in range(order):
+        derivatives.append(jax.jacfwd(derivatives[-1]))
     parts = []
     for start in range(0, n, BATCH):
         index = np.minimum(np.arange(start, start + BATCH), n - 1)
         batch = jnp.asarray(u[index]), jnp.asarray(labels[index])
-        jacobian = jax.vmap(jax.jacfwd(atlas.embed))(*batch)
-        parts.append((np.asarray(jax.vmap(atlas.embed)(*batch)), np.asarray(jacobian)))
-    points, jacobian = (np.concatenate(a)[:n] for a in zip(*parts))
-    return points, jacobian, (volumes * weights.ravel()).ravel()
+        parts.append([np.asarray(jax.vmap(d)(*batch)) for d in derivatives])
+    return [np.concatenate(a)[:n] for a in zip(*parts)]

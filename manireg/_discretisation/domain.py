@@ -6,6 +6,7 @@ can be the source of a regression.
 """
 
 import functools
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -13,10 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._sources.charts import chart_of
-from .._sources.sources import Ambient, Source, sampled
-from ..manifolds import AbstractManifold, PointCloud, Product
-from .quadrature import axis_counts, gauss_panels, grid, of_cloud, quasi_uniform
+from .._source import AbstractSource, Chart
+from .quadrature import Sample, axis_counts, gauss_panels, grid, of_known, quasi_uniform
 
 
 class Domain(eqx.Module):
@@ -52,45 +51,51 @@ def panels_of(m: int) -> tuple[int, int]:
     return (2, nodes // 2) if nodes % 2 == 0 else (1, nodes)
 
 
-def centres_of(source: Source, n: int, around=None, graded: bool = False) -> Domain:
+def centres_of(
+    source: AbstractSource, n: int, around=None, graded: bool = False
+) -> Domain:
     """About `n` quasi-uniform points of `source`, boundary included, as basis centres.
     The weights are not meant for integration. Arguments as for `discretise`. A mesh
     gets at most as many as it has vertices, a point cloud without triangles a twelfth of
     its points, as its quadrature has no others."""
-    _check_graded(source, around, graded)
-    chart = chart_of(source, around)
+    around = _checked_data(source, around, graded)
+    return seen_from(source, _centres(source.sampled, n, around, graded))
+
+
+def _centres(source: AbstractSource, n: int, around, graded: bool = False) -> Domain:
+    chart = source.chart(around)
     if chart is not None:
-        spacings = axis_counts(chart, n)
-        axes = []
-        for low, high, periodic, count in zip(
-            chart.lower, chart.upper, chart.periodic, spacings
-        ):
-            nodes = np.linspace(low, high, count + 1)
-            axes.append(
-                (nodes[:-1] if periodic else nodes, np.ones(count + 1 - periodic))
-            )
-        return with_second_forms(source, *grid(chart, axes))
-    if isinstance(source, Product):
-        return _product_domain(source, n, around, centres_of)
-    if isinstance(source, Ambient):
-        return ambient_domain(centres_of(source.manifold, n, around, graded))
-    if isinstance(source, PointCloud):
-        most = len(source.points)
-        if source.triangles is None:  # the quadrature has no points between
-            most = max(_FEW, most // _ON_CLOUD)
-        n = min(n, most)
-        return with_second_forms(source, *of_cloud(source, n, around, graded))
+        return sample_domain(grid(chart, _nodes(chart, n)))
+    if source.product(around) is not None:
+        return _product_domain(source, n, around, _centres)
+    if (known := source.known_points()) is not None:
+        nodes, _ = source.known_points(_ON_CLOUD * len(known[0])) or known
+        n = min(n, max(_FEW, len(nodes) // _ON_CLOUD), len(known[0]))
+        return with_second_forms(source, *of_known(source, known, n, around, graded))
     return with_second_forms(source, *quasi_uniform(source, n, with_weights=False))
 
 
-def discretise(source: Source, n: int, around=None, graded: bool = False) -> Domain:
+def _nodes(chart: Chart, n: int):
+    """The ends of about `n` cells of a chart, along each axis."""
+    axes = []
+    for low, high, periodic, count in zip(
+        chart.lower, chart.upper, chart.periodic, axis_counts(chart, n)
+    ):
+        nodes = np.linspace(low, high, count + 1)
+        axes.append((nodes[:-1] if periodic else nodes, np.ones(count + 1 - periodic)))
+    return axes
+
+
+def discretise(
+    source: AbstractSource, n: int, around=None, graded: bool = False
+) -> Domain:
     """Quadrature for a basis of about `n` centres: 10 points a centre on curves, 16 on
     surfaces (12 on point clouds), 27 in dimension 3 (fewer hides stiff modes of the
     energy).
 
     **Arguments:**
 
-    - `source`: an `Interval`, a `Box` or any manifold.
+    - `source`: an `Interval`, a `Box` or any other source.
     - `n`: the number of centres of the basis.
     - `around`: data points (flattened). Unbounded sources (Euclidean space, cylinder,
       SPD matrices) are cut to the box that holds them, which is then required.
@@ -105,48 +110,56 @@ def discretise(source: Source, n: int, around=None, graded: bool = False) -> Dom
     `random_points`, weighted by the volume of their Voronoi cells, measured in the tangent
     space.
     """
-    _check_graded(source, around, graded)
-    per_axis = nodes_per_axis(source.dim)
-    chart = chart_of(source, around)
+    around = _checked_data(source, around, graded)
+    return seen_from(source, _quadrature(source.sampled, n, around, graded))
+
+
+def _quadrature(source: AbstractSource, n: int, around, graded: bool = False) -> Domain:
+    chart = source.chart(around)
     if chart is not None:
-        axes = []
-        for low, high, periodic, count in zip(
-            chart.lower, chart.upper, chart.periodic, axis_counts(chart, n)
-        ):
-            if periodic:
-                nodes = np.linspace(low, high, count * per_axis + 1)[:-1]
-                axes.append((nodes, np.full(len(nodes), (high - low) / len(nodes))))
-            else:
-                panels, nodes = panels_of(source.dim)
-                axes.append(gauss_panels(low, high, count * panels, nodes))
-        return with_second_forms(source, *grid(chart, axes))
-    if isinstance(source, Product):
-        return _product_domain(source, n, around, discretise)
-    if isinstance(source, Ambient):
-        return ambient_domain(discretise(source.manifold, n, around, graded))
-    if isinstance(source, PointCloud):
-        n = min(n, len(source.points)) * _ON_CLOUD
-        return with_second_forms(source, *of_cloud(source, n, around, graded))
-    n = n * per_axis**source.dim
+        return sample_domain(grid(chart, _rules(chart, n)))
+    if source.product(around) is not None:
+        return _product_domain(source, n, around, _quadrature)
+    if (known := source.known_points()) is not None:
+        n = min(n, len(known[0])) * _ON_CLOUD
+        known = source.known_points(n) or known
+        return with_second_forms(source, *of_known(source, known, n, around, graded))
+    n = n * nodes_per_axis(source.dim) ** source.dim
     return with_second_forms(source, *quasi_uniform(source, n, with_weights=True))
 
 
-def _check_graded(source: Source, around, graded: bool) -> None:
-    surface = sampled(source)
-    if graded and not (isinstance(surface, PointCloud) and around is not None):
+def _rules(chart: Chart, n: int):
+    """Rules for about `n` cells of a chart, along each axis."""
+    m, axes = len(chart.lower), []
+    for low, high, periodic, count in zip(
+        chart.lower, chart.upper, chart.periodic, axis_counts(chart, n)
+    ):
+        if periodic:
+            nodes = np.linspace(low, high, count * nodes_per_axis(m) + 1)[:-1]
+            axes.append((nodes, np.full(len(nodes), (high - low) / len(nodes))))
+        else:
+            panels, nodes = panels_of(m)
+            axes.append(gauss_panels(low, high, count * panels, nodes))
+    return axes
+
+
+def _checked_data(source: AbstractSource, around, graded: bool) -> np.ndarray | None:
+    surface = source.sampled
+    if graded and (surface.known_points() is None or around is None):
         raise ValueError(
             "graded: only for sources that are point clouds, and near data; found "
             f"{type(surface).__name__}. Leave it out."
         )
+    return None if around is None else np.asarray(around)
 
 
-def _product_domain(source: Product, n: int, around, build) -> Domain:
+def _product_domain(
+    source: AbstractSource, n: int, around, build: Callable[..., Domain]
+) -> Domain:
     """Product rule: n is shared out so that all factors get about the same spacing."""
-    parts = (None,) * len(source.factors) if around is None else source.split(around)
-    counts = [max(4, round(n ** (f.dim / source.dim))) for f in source.factors]
     domains = [
-        build(f, c, None if x is None else np.asarray(x).reshape(len(x), -1))
-        for f, c, x in zip(source.factors, counts, parts)
+        build(factor, max(4, round(n ** (factor.dim / source.dim))), x)
+        for factor, x in source.product(around) or ()
     ]
     index = np.stack(
         np.meshgrid(*(np.arange(len(d.points)) for d in domains), indexing="ij"), -1
@@ -160,26 +173,27 @@ def _product_domain(source: Product, n: int, around, build) -> Domain:
     return with_second_forms(source, points, frames, weights)
 
 
-def ambient_domain(domain: Domain) -> Domain:
-    """The same points and weights, all directions, no curvature."""
-    Q, s, _ = domain.frames.shape
-    frames = jnp.broadcast_to(jnp.eye(s), (Q, s, s))
-    return Domain(domain.points, frames, jnp.zeros((Q, s, s, s)), domain.weights)
+def seen_from(source: AbstractSource, domain: Domain) -> Domain:
+    """The same points and weights, with the directions that the source differentiates
+    along."""
+    frames, forms = source.directions(domain.frames, domain.second_forms)
+    return Domain(domain.points, frames, forms, domain.weights)
 
 
-def with_second_forms(source: Source, points, frames, weights) -> Domain:
+def sample_domain(sample: Sample) -> Domain:
+    return Domain(*map(jnp.asarray, sample))
+
+
+def with_second_forms(manifold, points, frames, weights) -> Domain:
+    """With the second fundamental forms of a manifold."""
     points, frames = jnp.asarray(points), jnp.asarray(frames)
-    Q, s, m = frames.shape
-    if isinstance(source, AbstractManifold):
-        shape = source.point_shape
+    shape = manifold.point_shape
 
-        def form(p, a, b):
-            ambient = (v.reshape(shape) for v in (p, a, b))
-            return source.second_fundamental_form(*ambient).ravel()
+    def form(p, a, b):
+        ambient = (v.reshape(shape) for v in (p, a, b))
+        return manifold.second_fundamental_form(*ambient).ravel()
 
-        over_b = jax.vmap(form, in_axes=(None, None, 1))
-        over_ab = jax.vmap(over_b, in_axes=(None, 1, None))
-        forms = jax.vmap(over_ab)(points, frames, frames)
-    else:
-        forms = jnp.zeros((Q, m, m, s))
+    over_b = jax.vmap(form, in_axes=(None, None, 1))
+    over_ab = jax.vmap(over_b, in_axes=(None, 1, None))
+    forms = jax.vmap(over_ab)(points, frames, frames)
     return Domain(points, frames, forms, jnp.asarray(weights))

@@ -8,17 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._sources.charts import Atlas, atlas_of
-from .._sources.checks import projected
-from .._sources.sources import Ambient, Source, sampled
-from ..manifolds import PointCloud, Product
+from .._source import AbstractSource, Atlas
 from ..manifolds._defaults.frames import tangent_frames
+from ..manifolds._membership import projected
 from .cells import even_cells, graded_cells, on_cells
 from .domain import (
     Domain,
-    ambient_domain,
     nodes_per_axis,
     panels_of,
+    sample_domain,
+    seen_from,
     with_second_forms,
 )
 from .local_spacing import LocalSpacing
@@ -39,31 +38,31 @@ class Followed(NamedTuple):
 
 
 def follow(
-    source: Source, spacing: LocalSpacing, n: int, around, finer: bool
+    source: AbstractSource, spacing: LocalSpacing, n: int, around, finer: bool
 ) -> Followed | None:
     """At most `n` centres (about, on sources without charts) whose spacing is that of the
     data around them, or more by the same factor everywhere; with `finer` also less, as far
     as `n` goes. None on point clouds, whose points are all there is, and for products with
     a factor that has no charts."""
-    manifold = sampled(source)
-    atlas = atlas_of(manifold, around)
+    manifold = source.sampled
+    atlas = manifold.atlas(np.asarray(around))
     if atlas is not None:
-        followed = _in_charts(manifold, atlas, spacing, n, finer)
-    elif isinstance(manifold, PointCloud | Product):
+        followed = _in_charts(atlas, spacing, n, finer)
+    elif manifold.known_points() is not None or manifold.product(None) is not None:
         return None
     else:
         followed = _scattered(manifold, spacing, n, finer)
-    if isinstance(source, Ambient) and followed is not None:
-        nodes, spacings, quadrature = followed
-        return Followed(ambient_domain(nodes), spacings, ambient_domain(quadrature))
-    return followed
+    if followed is None:
+        return None
+    nodes, spacings, quadrature = followed
+    return Followed(seen_from(source, nodes), spacings, seen_from(source, quadrature))
 
 
 def _in_charts(
-    source, atlas: Atlas, spacing: LocalSpacing, n: int, finer: bool
+    atlas: Atlas, spacing: LocalSpacing, n: int, finer: bool
 ) -> Followed | None:
     """Cells, a centre in the middle of each, Gauss points in all."""
-    m = source.dim
+    m = atlas.lower.shape[1]
     divide = even_cells if m == 1 else graded_cells
     fits = lambda scale: divide(atlas, spacing.at(scale), n) is not None
     scale = _least_scale(fits, spacing, finer)
@@ -71,11 +70,11 @@ def _in_charts(
         return None
     cells = divide(atlas, spacing.at(scale), n)
     assert cells is not None
-    nodes = with_second_forms(source, *on_cells(atlas, cells))
+    nodes = sample_domain(on_cells(atlas, cells))
     h = spacing.at(scale)(np.asarray(nodes.points))
     h = np.asarray(nodes.weights) if m == 1 else NARROWER * h
     x, weights = gauss_panels(-1.0, 1.0, *panels_of(m))
-    quadrature = with_second_forms(source, *on_cells(atlas, cells, (x, weights / 2)))
+    quadrature = sample_domain(on_cells(atlas, cells, (x, weights / 2)))
     return Followed(nodes, h, quadrature)
 
 

@@ -10,11 +10,8 @@ from jaxtyping import ArrayLike, Float
 from scipy.spatial import KDTree
 from scipy.stats import qmc
 
-from .._sources.charts import Chart
-from .._sources.sources import Source
-from ..manifolds import AbstractManifold, PointCloud, Sphere
+from .._source import Chart
 from ..manifolds._defaults.frames import tangent_frames
-from ..manifolds._scans.cloud_fits import triangle_areas
 from .spacing import (
     data_spacings,
     equally_near,
@@ -23,9 +20,16 @@ from .spacing import (
 )
 
 Sample = tuple[
+    Float[ArrayLike, "Q s"],
+    Float[ArrayLike, "Q s m"],
+    Float[ArrayLike, "Q m m s"],
+    Float[ArrayLike, " Q"],
+]
+"""Points, frames, second fundamental forms, quadrature weights."""
+FlatSample = tuple[
     Float[ArrayLike, "Q s"], Float[ArrayLike, "Q s m"], Float[ArrayLike, " Q"]
 ]
-"""Points, frames, quadrature weights."""
+"""The same without the forms."""
 
 CANDIDATES = 12  # random points per point wanted, of which farthest ones are taken
 TANGENT_SAMPLES = 256  # points per Voronoi cell volume
@@ -59,43 +63,54 @@ def grid(chart: Chart, axes) -> Sample:
     coordinates = np.stack(np.meshgrid(*(x for x, _ in axes), indexing="ij"), -1)
     weights = functools.reduce(np.multiply.outer, (w for _, w in axes)).ravel()
     u = jnp.asarray(coordinates.reshape(len(weights), -1))
-    points = jax.vmap(chart.embed)(u)
-    jacobian = jax.vmap(jax.jacfwd(chart.embed))(u)
-    frames, triangle = jnp.linalg.qr(jacobian)
-    volume = jnp.abs(jnp.prod(jnp.diagonal(triangle, axis1=-2, axis2=-1), axis=-1))
-    return points, frames, volume * weights
+    jacobian = jax.jacfwd(chart.embed)
+    derivatives = chart.embed, jacobian, jax.jacfwd(jacobian)
+    points, jacobian, hessian = (np.asarray(jax.vmap(d)(u)) for d in derivatives)
+    frames, forms, volume = geometry_of(jacobian, hessian)
+    return points, frames, forms, volume * weights
 
 
-def quasi_uniform(source: Source, n: int, with_weights: bool) -> Sample:
-    """The Fibonacci lattice on S^2; elsewhere farthest points of random ones, if wanted
-    with the volumes of their Voronoi cells."""
-    if not isinstance(source, AbstractManifold):
-        raise TypeError(
-            f"cannot discretise a {type(source).__name__}; use mr.Interval, mr.Box or a "
-            "manifold as the source."
+def geometry_of(
+    jacobian: Float[np.ndarray, "Q s m"], hessian: Float[np.ndarray, "Q s m m"]
+) -> tuple[
+    Float[np.ndarray, "Q s m"], Float[np.ndarray, "Q m m s"], Float[np.ndarray, " Q"]
+]:
+    """Frames E = D A, with D the derivative of a chart, second forms, the normal part of
+    D^2[A_a, A_b], and volumes, |det A|^-1."""
+    frames, triangle = np.linalg.qr(jacobian)
+    volume = np.abs(np.prod(np.diagonal(triangle, axis1=1, axis2=2), axis=1))
+    if not np.all(volume > 1e-12 * np.max(volume)):
+        raise ValueError(
+            "source: the derivative of its chart is not of full rank everywhere: a pole, "
+            "a tip, or a coordinate without effect. Cut that out of the chart."
         )
-    if isinstance(source, Sphere) and source.dim == 2:
-        radius = np.asarray(source.radius)
-        points = radius * _fibonacci(n)
-        weights = np.full(n, 4 * np.pi * radius**2 / n)
-        frames = tangent_frames(source, points)
-    else:
-        cloud = source.random_points(jax.random.key(0), CANDIDATES * n)
-        points = farthest_points(np.asarray(cloud).reshape(CANDIDATES * n, -1), n)
-        frames = tangent_frames(source, points)
-        weights = np.ones(n)
-        if with_weights:
-            weights = voronoi_volumes(source, points, frames)
-    return points, frames, weights
+    inverse = np.linalg.inv(triangle)
+    bend = np.einsum("qsij,qia,qjb->qabs", hessian, inverse, inverse)
+    along = np.einsum("qabs,qsc->qabc", bend, frames)
+    return frames, bend - np.einsum("qabc,qsc->qabs", along, frames), volume
 
 
-def of_cloud(source: PointCloud, n: int, around, graded: bool) -> Sample:
-    """`n` points of the cloud, farthest points from those next to `around` (if they are
-    no more than `n`); the area of every point of the cloud goes to the nearest of them.
-    Where a mesh has fewer vertices, the same of points in its triangles."""
-    points, areas = np.asarray(source.points), np.asarray(source.areas)
-    if n > len(points) and source.triangles is not None:
-        points, areas = _in_triangles(source, n)
+def quasi_uniform(source, n: int, with_weights: bool) -> FlatSample:
+    """Evenly spread by a formula (on S^2), else farthest points of random ones, if wanted
+    with the volumes of their Voronoi cells."""
+    even = source.even_points(n)
+    if even is not None:
+        points, weights = even
+        return points, tangent_frames(source, points), weights
+    cloud = source.random_points(jax.random.key(0), CANDIDATES * n)
+    points = farthest_points(np.asarray(source.to_ambient(cloud)), n)
+    frames = tangent_frames(source, points)
+    if with_weights:
+        return points, frames, voronoi_volumes(source, points, frames)
+    return points, frames, np.ones(n)
+
+
+def of_known(
+    source, known: tuple[np.ndarray, np.ndarray], n: int, around, graded: bool
+) -> FlatSample:
+    """`n` of the points of a cloud, farthest points from those next to `around` (if they
+    are no more than `n`); the area of every point goes to the nearest of them."""
+    points, areas = known
     first, spacing = [], 1.0
     if around is not None:
         near, equal = equally_near(points, np.asarray(around))
@@ -110,28 +125,9 @@ def of_cloud(source: PointCloud, n: int, around, graded: bool) -> Sample:
     areas = areas * local_lam * np.sum(areas) / np.sum(areas * local_lam)
     weights = _shared_out(points, areas, points[index])
     chosen = jnp.asarray(points[index])
-    if len(points) != len(source.points):
+    if len(points) > len(source.known_points()[0]):  # those lie in triangles
         chosen = source.project(chosen)
     return chosen, tangent_frames(source, chosen), weights
-
-
-def _in_triangles(source: PointCloud, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """At least `n` points in the triangles, each cut into equal ones, and the areas of
-    these. Their sum is that of the cloud. The points are a little beside the centroids,
-    which several vertices may be nearest to: rounding would choose the patch."""
-    corners = np.asarray(source.points)[np.asarray(source.triangles)]
-    cuts = int(np.ceil(np.sqrt(n / len(corners))))
-    i, j = np.indices((cuts, cuts)).reshape(2, -1)
-    upright, upturned = i + j < cuts, i + j < cuts - 1
-    u, v = (
-        np.concatenate([a[upright] + 1 / 3, a[upturned] + 2 / 3]) + beside
-        for a, beside in ((i, 0.02), (j, -0.005))
-    )
-    u, v = u / cuts, v / cuts
-    share = np.stack([1 - u - v, u, v], axis=1)
-    points = np.einsum("qc,tcs->tqs", share, corners).reshape(-1, 3)
-    areas = np.repeat(triangle_areas(corners), len(share))
-    return points, areas * np.sum(np.asarray(source.areas)) / np.sum(areas)
 
 
 def _shared_out(points, areas, owners) -> np.ndarray:
@@ -139,13 +135,6 @@ def _shared_out(points, areas, owners) -> np.ndarray:
     near, equal = equally_near(owners, points)
     share = equal / np.sum(equal, axis=1, keepdims=True) * areas[:, None]
     return np.bincount(near.ravel(), share.ravel(), minlength=len(owners))
-
-
-def _fibonacci(n: int) -> np.ndarray:
-    i = np.arange(n) + 0.5
-    z, longitude = 1 - 2 * i / n, np.pi * (1 + 5**0.5) * i
-    rho = np.sqrt(1 - z**2)
-    return np.stack([rho * np.cos(longitude), rho * np.sin(longitude), z], axis=1)
 
 
 def voronoi_volumes(source, points, frames) -> np.ndarray:

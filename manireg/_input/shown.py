@@ -15,3 +15,9 @@ def shown(value: ScalarLike) -> str:
     plain = 1e-4 <= abs(number) < 1e16 or number == 0
     show = np.format_float_positional if plain else np.format_float_scientific
     return show(number, trim="-")
+
+
+def listed(values) -> str:
+    """A number, or the list of them, as `shown`."""
+    array = np.asarray(values)
+    return f"[{', '.join(map(listed, array))}]" if array.ndim else shown(array[()])

@@ -4,19 +4,17 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
-from scipy.special import roots_gegenbauer
 
 from .._discretisation.domain import Domain, discretise, with_second_forms
 from .._input.precision import check_x64
-from .._sources.sources import Source
-from ..manifolds import AbstractManifold, Sphere
+from .._source import AbstractSource
+from ..manifolds import AbstractManifold
 from ..manifolds._defaults.frames import tangent_frames
 
 
 def eells_energy(
-    source: Source,
+    source: AbstractSource,
     target: AbstractManifold,
     map: Callable[[Array], Array],
     samples: int | Domain = 4096,
@@ -45,7 +43,7 @@ def eells_energy(
 
 
 def thin_plate_energy(
-    source: Source, map: Callable[[Array], Array], samples: int | Domain = 4096
+    source: AbstractSource, map: Callable[[Array], Array], samples: int | Domain = 4096
 ) -> Float[Array, ""]:
     r"""$\int_M |D^2\phi[E_a, E_b] + D\phi\, II(E_a, E_b)|^2$, without the projection to
     the target (paper, (3)): `eells_energy` plus the bending of the target in its ambient
@@ -62,7 +60,7 @@ def _second_derivative(source, map, x, frame, form):
 
     def along(u):
         curve = x + frame @ u + 0.5 * jnp.einsum("a,b,abs->s", u, u, form)
-        return jnp.ravel(map(curve.reshape(source.point_shape)))
+        return jnp.ravel(map(source.from_ambient(curve[None])[0]))
 
     zero = jnp.zeros(frame.shape[1])
     return along(zero), jnp.moveaxis(jax.jacfwd(jax.jacfwd(along))(zero), 0, -1)
@@ -75,34 +73,18 @@ def _integrate(density, domain: Domain):
     return jnp.sum(domain.weights * values)
 
 
-def _samples(source: Source, samples: int | Domain) -> Domain:
+def _samples(source, samples: int | Domain) -> Domain:
     check_x64(source)
     if isinstance(samples, Domain):
         return samples
     samples = int(samples)
     if samples < 1:
         raise ValueError(f"samples: must be at least 1, found {samples}.")
-    if isinstance(source, Sphere) and source.dim > 1:
-        return _sphere_gauss(source, samples)
+    exact = source.exact_rule(samples)
+    if exact is not None:
+        points, weights = exact
+        return with_second_forms(
+            source, points, tangent_frames(source, points), weights
+        )
     per_centre = 16 if source.dim == 2 else max(10, 3**source.dim)
     return discretise(source, max(1, samples // per_centre))
-
-
-def _sphere_gauss(sphere: Sphere, samples: int) -> Domain:
-    """Product rule on S^n, exact for polynomials: Gauss-Gegenbauer in the last
-    coordinate, S^{n-1} in the others, down to the trapezoid rule on the circle."""
-    order = max(4, round((samples / 2) ** (1 / sphere.dim)))
-    angle = 2 * np.pi * np.arange(2 * order) / (2 * order)
-    points = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    weights = np.full(len(points), np.pi / order)
-    for n in range(2, sphere.dim + 1):
-        z, w = roots_gegenbauer(order, (n - 1) / 2)
-        rho = np.sqrt(1 - z**2)[:, None, None]
-        rows = np.broadcast_to(z[:, None, None], (len(z), len(points), 1))
-        points = np.concatenate([rho * points, rows], axis=2).reshape(-1, n + 1)
-        weights = np.outer(w, weights).ravel()
-    radius = np.asarray(sphere.radius)
-    frames = tangent_frames(sphere, points)
-    return with_second_forms(
-        sphere, radius * points, frames, radius**sphere.dim * weights
-    )

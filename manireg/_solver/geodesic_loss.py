@@ -22,7 +22,7 @@ def solve_geodesic(problem: Problem, lam: Numbers, **options) -> RegressionMap:
     model = solve(problem, lam, **options)
     if not isinstance(problem.target, PointCloud):
         return model
-    x = problem.x.reshape(-1, *problem.source.point_shape)
+    x = problem.source.from_ambient(problem.x)
     values = model(x)
     size = jnp.max(jnp.ptp(problem.target.points, axis=0))
     options = {**options, "starts": ()}

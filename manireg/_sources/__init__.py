@@ -1,1 +1,2 @@
-"""What x can live on, and whether data lie there. Knows no quadrature."""
+"""What x can live on besides manifolds, and whether data lie there. Knows no
+quadrature."""

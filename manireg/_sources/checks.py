@@ -9,26 +9,21 @@ from jaxtyping import Array
 
 from .._input.numbers import Numbers, as_numbers, numbers_and_unit
 from .._input.shown import shown
-from ..manifolds import AbstractManifold, Euclidean, PointCloud, doubt
-from .membership import (
-    check_on,
-    described,
-    is_concrete as is_concrete,
-    outside,
-    projected as projected,
-)
-from .sources import Ambient, Box, Interval, Source, sampled, sampled_dim
+from ..manifolds import AbstractManifold, PointCloud
+from ..manifolds._membership import is_concrete as is_concrete, projected as projected
+from .sources import Source
 
 LARGEST_DIM = 3  # of a source: derivatives of order p control values where 2p > m
 
 
-def check_points(name: str, space: Source | AbstractManifold, points, count=None):
-    """`points` as a float64 array `(n, t)` of flattened points of `space`."""
+def check_points(name: str, space: Source, points, count=None):
+    """`points` as a float64 array `(n, t)` of ambient coordinates of points of `space`."""
     return _checked(name, space, *_numbers_of(name, space, points), count)
 
 
 def _checked(name, space, points: np.ndarray, unit: str, count=None) -> np.ndarray:
     shape = space.point_shape
+    points = _as_batch(points, shape)
     if points.ndim != 1 + len(shape) or points.shape[1:] != shape:
         raise ValueError(_wrong_shape(name, space, points.shape))
     if count is not None and len(points) != count:
@@ -42,14 +37,14 @@ def _checked(name, space, points: np.ndarray, unit: str, count=None) -> np.ndarr
             f"{name}: {len(bad)} of {len(points)} points hold NaN or infinity or are "
             f"missing (first at index {bad[0]}); remove or impute them."
         )
-    check_on(name, space, points, unit)
-    return flat
+    space.check_points(name, points, unit)
+    return np.asarray(space.to_ambient(points))
 
 
 def check_inputs(source: Source, x) -> tuple[Array, bool]:
-    """New inputs of a fitted model, flattened `(n, s)`, and whether they are a single
-    point. What can be told of traced ones at run time is: NaN, and the bounds of an
-    `Interval` or a `Box`."""
+    """Ambient coordinates `(n, s)` of new inputs of a fitted model, and whether they are a
+    single point. What can be told of traced ones at run time is: NaN, and where the source
+    has ends."""
     shape = source.point_shape
     if is_concrete(x):
         x, unit = _numbers_of("x", source, x)
@@ -58,20 +53,19 @@ def check_inputs(source: Source, x) -> tuple[Array, bool]:
         return jnp.asarray(_checked("x", source, x, unit)), single
     x = jnp.asarray(x, float)
     single = x.shape == shape
-    x = x[None] if single else x
+    x = x[None] if single else _as_batch(x, shape)
     if x.shape[1:] != shape or x.ndim != 1 + len(shape):
         raise ValueError(_wrong_shape("x", source, x.shape))
-    flat = x.reshape(len(x), -1)
-    bad = ~jnp.all(jnp.isfinite(flat))
-    message = "x: some points hold NaN or infinity."
-    if isinstance(source, Box | Interval):
-        bad |= jnp.any(outside(source, flat))
-        message = f"x: some points lie outside {described(source)} or hold NaN."
-    return eqx.error_if(flat, bad, message), single
+    bad = jnp.any(source.outside(x)) | ~jnp.all(jnp.isfinite(x))
+    message = (
+        f"x: some points lie outside {source.description} or hold NaN or infinity."
+    )
+    return source.to_ambient(eqx.error_if(x, bad, message)), single
 
 
 def check_data(source: Source, target: AbstractManifold, x, y, weights):
-    """Flattened `x (k, s)`, `y (k, t)` projected onto the target, `weights (k,)`."""
+    """Ambient coordinates of `x (k, s)` and of `y (k, t)` projected onto the target,
+    `weights (k,)`."""
     if not isinstance(target, AbstractManifold):
         raise ValueError(
             f"target: expected a manireg manifold, found {type(target).__name__}."
@@ -89,7 +83,7 @@ def check_data(source: Source, target: AbstractManifold, x, y, weights):
             f"{source.dim} needs at least {least}."
         )
     y = projected(target, jnp.asarray(y).reshape(-1, *target.point_shape))
-    if text := doubt(target, np.asarray(y)):
+    if text := target.doubt(np.asarray(y)):
         warnings.warn(f"y: {text}", stacklevel=3)
     return jnp.asarray(x), y.reshape(len(x), -1), jnp.asarray(weights)
 
@@ -97,17 +91,17 @@ def check_data(source: Source, target: AbstractManifold, x, y, weights):
 def check_source(source: Source):
     if not isinstance(source, Source):
         raise ValueError(
-            "source: expected an Interval, a Box, an Ambient or a manifold, found "
-            f"{type(source).__name__}."
+            "source: expected an Interval, a Circle, a Box, an Ambient, a manifold or "
+            f"another AbstractSource, found {type(source).__name__}."
         )
 
 
 def check_dimension(source: Source):
     check_source(source)
-    m = sampled_dim(source)
+    m = source.sampled.dim
     if m > LARGEST_DIM:
         raise ValueError(
-            f"source: {type(sampled(source)).__name__} has dimension {m}; energies of "
+            f"source: {type(source.sampled).__name__} has dimension {m}; energies of "
             f"second derivatives have minimisers up to dimension {LARGEST_DIM}. Above, "
             "narrow spikes go through any data at no cost. Take fewer inputs, or "
             "manireg.baselines.nadaraya_watson."
@@ -133,7 +127,7 @@ def check_landmarks(
 def check_tension(tension: float, source: Source):
     if not (np.isfinite(tension) and tension >= 0):
         raise ValueError(f"tension: must be finite and at least 0, found {tension}.")
-    if tension and not isinstance(source, Ambient):
+    if tension and source.sampled is source:
         raise ValueError(
             f"tension: only for `Ambient` sources, found {type(source).__name__}. Leave "
             "it out, or take Ambient(source)."
@@ -208,13 +202,18 @@ def _checked_weights(weights, k: int) -> np.ndarray:
 
 def _numbers_of(name: str, space, points) -> tuple[np.ndarray, str]:
     """Dates only where points are plain numbers."""
-    if isinstance(space, Interval | Box | Euclidean):
+    if space.linear:
         return numbers_and_unit(name, points)
     return as_numbers(name, points), ""
+
+
+def _as_batch(x, shape: tuple[int, ...]):
+    """Columns of plain numbers are taken as numbers."""
+    return x[:, 0] if shape == () and x.ndim == 2 and x.shape[1] == 1 else x
 
 
 def _wrong_shape(name: str, space, found: tuple[int, ...]) -> str:
     letters = ", ".join(map(str, ("k", *space.point_shape)))
     comma = "," if not space.point_shape else ""
-    expected = f"({letters}{comma}) for {described(space)}"
+    expected = f"({letters}{comma}) for {space.description}"
     return f"{name}: expected shape {expected}, found {found}."

@@ -1,17 +1,46 @@
-"""Flat sources: intervals, boxes, the neighbourhood of a surface. Every manifold is a
-source too."""
+"""Sources that are no manifolds: intervals, boxes, the neighbourhood of a surface."""
 
+import abc
 import math
+from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float
 
 from .._input.numbers import Numbers, numbers_and_unit
-from .._input.shown import shown
+from .._input.shown import listed as listed
+from .._source import AbstractSource, Chart
 from ..manifolds import AbstractManifold
 
+Source = AbstractSource
 
-class Box(eqx.Module):
+
+class AbstractBounded(AbstractSource):
+    """A box of coordinates that are x themselves."""
+
+    @property
+    @abc.abstractmethod
+    def bounds(self) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        """Lower and upper ends."""
+
+    @property
+    def linear(self) -> bool:
+        return True
+
+    def chart(self, around: np.ndarray | None) -> Chart:
+        return Chart(*self.bounds, (False,) * self.dim, lambda u: u)
+
+    def outside(self, x: Float[Any, "k ..."]) -> Bool[Any, " k"]:
+        lower, upper = self.bounds
+        size = np.maximum(np.abs(lower), np.abs(upper))
+        slack = np.maximum(1e-9 * (upper - lower), 4 * np.finfo(float).eps * size)
+        flat = self.to_ambient(x)
+        return ((flat < lower - slack) | (flat > upper + slack)).any(axis=1)
+
+
+class Box(AbstractBounded):
     r"""The box $\prod_a [lower_a, upper_a] \subset \mathbb{R}^m$ as a source.
 
     **Arguments:** `lower`, `upper`: sequences of m numbers (or dates, as of `Interval`),
@@ -38,12 +67,17 @@ class Box(eqx.Module):
         return (self.dim,)
 
     @property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+    def bounds(self) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
         return np.array(self.lower), np.array(self.upper)
 
+    @property
+    def description(self) -> str:
+        return f"the box {listed(self.lower)} to {listed(self.upper)}"
 
-class Interval(eqx.Module):
-    """The interval [a, b] as a source. Points are arrays `(...,)`: plain numbers.
+
+class Interval(AbstractBounded):
+    """The interval [a, b] as a source. Points are plain numbers: arrays `(k,)`, or
+    `(k, 1)` as a column of a table is.
 
     Bounds and points may be dates (`datetime64`, pandas, `datetime`): they become seconds
     since 1970-01-01 UTC (those without a time zone count as UTC), durations seconds. That
@@ -66,11 +100,15 @@ class Interval(eqx.Module):
         return ()
 
     @property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+    def bounds(self) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
         return np.array([self.a]), np.array([self.b])
 
+    @property
+    def description(self) -> str:
+        return f"the interval {listed([self.a, self.b])}"
 
-class Ambient(eqx.Module):
+
+class Ambient(AbstractSource):
     r"""The neighbourhood of a manifold in its ambient space $\mathbb{R}^s$ as a source:
     energies are integrals over the manifold of *ambient* second derivatives, all s
     directions of them. Stiffer than the manifold itself: bending of it costs, too.
@@ -88,23 +126,29 @@ class Ambient(eqx.Module):
     def point_shape(self) -> tuple[int, ...]:
         return self.manifold.point_shape
 
+    @property
+    def sampled(self) -> AbstractManifold:
+        return self.manifold
 
-Source = AbstractManifold | Ambient | Box | Interval
+    def chart(self, around: np.ndarray | None) -> Chart | None:
+        return self.manifold.chart(around)
+
+    def directions(self, frames, second_forms):
+        """All of them, flat."""
+        Q, s, _ = frames.shape
+        return jnp.broadcast_to(jnp.eye(s), (Q, s, s)), jnp.zeros((Q, s, s, s))
+
+    def check_points(self, name: str, x: np.ndarray, unit: str = "") -> None:
+        self.manifold.check_points(name, x, unit)
 
 
-def sampled(source: Source) -> AbstractManifold | Box | Interval:
+def sampled(source: Source) -> AbstractSource:
     """What is integrated over."""
-    return source.manifold if isinstance(source, Ambient) else source
+    return source.sampled
 
 
 def sampled_dim(source: Source) -> int:
-    return sampled(source).dim
-
-
-def listed(values) -> str:
-    """A number, or the list of them, as `shown`."""
-    array = np.asarray(values)
-    return f"[{', '.join(map(listed, array))}]" if array.ndim else shown(array[()])
+    return source.sampled.dim
 
 
 def _bounds(values: Numbers) -> tuple[float, ...]:

@@ -8,9 +8,9 @@ from jaxtyping import Array, Float
 
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
-from .._sources.checks import check_data
-from .._sources.sources import Box, Interval, Source
-from ..manifolds import AbstractManifold, Euclidean
+from .._sources.checks import check_data, check_source
+from .._sources.sources import Source
+from ..manifolds import AbstractManifold
 from ._inputs import only_for, predicted
 
 LOCAL_STARTS = 6
@@ -68,7 +68,8 @@ def geodesic_regression(
     `x`, `y`, `weights` as for `manireg.fit`.
     """
     check_x64()
-    if not isinstance(source, Interval | Box | Euclidean):
+    check_source(source)
+    if not source.linear:
         raise only_for("geodesic_regression", "Interval, Box, Euclidean", source)
     flat, outputs, weights = check_data(source, target, x, y, weights)
     centre = weights @ flat / jnp.sum(weights)

@@ -100,15 +100,8 @@ def nadaraya_watson(
     return build(grid[best], grid, scores)
 
 
-def _squared_distances(source: Source, a, b) -> Float[Array, "a b"]:
-    if isinstance(source, AbstractManifold):
-        a, b = (points.reshape(-1, *source.point_shape) for points in (a, b))
-        return source.squared_distance(a[:, None], b[None, :])
-    return jnp.sum((a[:, None] - b[None, :]) ** 2, axis=-1)
-
-
 def _bandwidth_grid(source: Source, x: Float[Array, "k s"]) -> Float[Array, " grid"]:
-    distances = np.sqrt(np.asarray(_squared_distances(source, x, x)))
+    distances = np.sqrt(np.asarray(source.squared_distances(x, x)))
     apart = np.where(distances > 1e-9 * distances.max(), distances, np.inf)
     return jnp.geomspace(
         0.5 * np.median(apart.min(axis=1)), 0.5 * distances.max(), GRID
@@ -128,7 +121,7 @@ def _means(
 
     def one(row):
         x, usable = row
-        squared = _squared_distances(model.source, x[None], model.x)[0]
+        squared = model.source.squared_distances(x[None], model.x)[0]
         logits = jnp.log(model.weights) - squared / (2 * bandwidth**2)
         # softmax, because far from all data every kernel value underflows
         share = jax.nn.softmax(jnp.where(usable, logits, -jnp.inf))

@@ -10,7 +10,6 @@ from ._defaults.second_form import (
     geodesic_exp as geodesic_exp,
     second_form_of_projection as second_form_of_projection,
 )
-from ._doubts import doubt as doubt
 from ._ellipsoid import Ellipsoid as Ellipsoid
 from ._euclidean import Euclidean as Euclidean
 from ._flat_torus import FlatTorus as FlatTorus

@@ -1,13 +1,15 @@
 """The manifold interface: what a target (or a source) has to be able to do."""
 
 import abc
-from typing import TYPE_CHECKING, ClassVar
 
-import equinox as eqx
-from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
+import numpy as np
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, ScalarLike
+
+from .._source import AbstractSource, Chart
+from ._membership import by_reach, check_on
 
 
-class AbstractManifold(eqx.Module):
+class AbstractManifold(AbstractSource):
     r"""A Riemannian manifold N of dimension n, isometrically embedded in a vector space
     of arrays of shape `point_shape` (flattened: $\mathbb{R}^t$).
 
@@ -18,15 +20,10 @@ class AbstractManifold(eqx.Module):
     A manifold of your own subclasses this and overrides the methods below;
     `manireg.manifolds.second_form_of_projection`, `geodesic_exp` and `shooting_log` turn
     most of them into one line. `manireg.check_manifold` then runs the laws.
-    """
 
-    if TYPE_CHECKING:
-        # a type checker would take an `AbstractVar` for an argument of the constructor
-        dim: ClassVar[int]
-        point_shape: ClassVar[tuple[int, ...]]
-    else:
-        dim: eqx.AbstractVar[int]
-        point_shape: eqx.AbstractVar[tuple[int, ...]]
+    As a source it is sampled at quasi-uniform points, unless it has a `chart` (see
+    `manireg.AbstractSource`), which integrates to more digits.
+    """
 
     @property
     @abc.abstractmethod
@@ -77,3 +74,39 @@ class AbstractManifold(eqx.Module):
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """`n` random points, `(n, *point_shape)`: uniform where N is compact and
         homogeneous, else some distribution of full support."""
+
+    # As a source, and as the place of data. A manifold of your own can leave these.
+
+    def chart(self, around: np.ndarray | None) -> Chart | None:
+        """None: sampled at points. Override it where there are global coordinates."""
+        return None
+
+    def squared_distances(
+        self, p: Float[Array, "a s"], q: Float[Array, "b s"]
+    ) -> Float[Array, "a b"]:
+        """Geodesic ones."""
+        p, q = self.from_ambient(p), self.from_ambient(q)
+        return self.squared_distance(p[:, None], q[None, :])
+
+    def check_points(self, name: str, x: np.ndarray, unit: str = "") -> None:
+        """Raises ValueError if points `(k, *point_shape)` lie off the manifold."""
+        check_on(name, self, x)
+
+    def parts(self, *arrays: Array) -> "list[tuple]":
+        """The independent parts: `(label, part, *arrays)`, arrays `(k, *point_shape)` cut
+        to each; here one."""
+        return [(type(self).__name__, self, *arrays)]
+
+    def tolerance(self, points: Float[np.ndarray, "k s"]) -> float:
+        """How far off data may lie; here a millionth of the reach."""
+        return by_reach(self, points)
+
+    def mistake(self, points: np.ndarray) -> tuple[Bool[np.ndarray, " k"], str, str]:
+        """Which points off the manifold are a mistake with a name, the name (with {} for
+        that of the manifold) and the cure; here none."""
+        return np.zeros(len(points), bool), "", ""
+
+    def doubt(self, points: np.ndarray) -> str | None:
+        """What is odd about points on the manifold, `(k, *point_shape)`, and what may have
+        been meant; for a warning, since they may be right. Here nothing."""
+        return None

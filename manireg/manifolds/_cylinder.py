@@ -13,6 +13,7 @@ from .._algebra.smooth import (
     sphere_log,
     squared_angle,
 )
+from .._source import Chart, bounding_box
 from ._base import AbstractManifold
 
 
@@ -94,6 +95,18 @@ class Cylinder(AbstractManifold):
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Uniform around the axis, standard normal along it."""
         return self.project(jax.random.normal(key, (n, 3)))
+
+    def chart(self, around: np.ndarray | None) -> Chart:
+        """Angle and height, cut to the data."""
+        low, high = bounding_box(self, None if around is None else around[:, 2:])
+
+        def embed(u):
+            return jnp.array(
+                [self.radius * jnp.cos(u[0]), self.radius * jnp.sin(u[0]), u[1]]
+            )
+
+        ends = np.append(0.0, low), np.append(2 * np.pi, high)
+        return Chart(*ends, (True, False), embed)
 
 
 _PLANE = np.array([1.0, 1.0, 0.0])  # keeps (x, y), drops z

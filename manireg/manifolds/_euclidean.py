@@ -3,8 +3,10 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from .._source import Chart, bounding_box
 from ._base import AbstractManifold
 
 
@@ -55,3 +57,12 @@ class Euclidean(AbstractManifold):
 
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         return jax.random.normal(key, (n, self.dim))
+
+    @property
+    def linear(self) -> bool:
+        return True
+
+    def chart(self, around: np.ndarray | None) -> Chart:
+        """The bounding box of the data."""
+        low, high = bounding_box(self, around)
+        return Chart(low, high, (False,) * self.dim, lambda u: u)

@@ -14,7 +14,9 @@ from .._algebra.smooth import (
     sphere_log,
     squared_angle,
 )
+from .._source import Chart
 from ._base import AbstractManifold
+from ._sphere import Sphere
 
 
 class FlatTorus(AbstractManifold):
@@ -112,3 +114,26 @@ class FlatTorus(AbstractManifold):
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Uniform."""
         return self.project(jax.random.normal(key, (n, *self.point_shape)))
+
+    def chart(self, around: np.ndarray | None) -> Chart:
+        r"""$(\theta_1, .., \theta_n)$."""
+        radii = jnp.broadcast_to(jnp.asarray(self.radii), (self.dim,))
+
+        def embed(u):
+            circles = radii * jnp.stack([jnp.cos(u), jnp.sin(u)])
+            return circles.T.ravel()
+
+        turn = np.full(self.dim, 2 * np.pi)
+        return Chart(0 * turn, turn, (True,) * self.dim, embed)
+
+    def parts(self, *arrays: Array) -> "list[tuple]":
+        """Circles: a wide one has no say in how close to a small one is close."""
+        radii = np.broadcast_to(np.asarray(self.radii), self.dim)
+        return [
+            (
+                f"FlatTorus, circle {i}" if self.dim > 1 else "FlatTorus",
+                Sphere(1, float(radius)),
+                *(a.reshape(len(a), -1, 2)[:, i] for a in arrays),
+            )
+            for i, radius in enumerate(radii)
+        ]

@@ -1,11 +1,14 @@
 """Products of manifolds: several responses at once."""
 
 import math
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
+from .._source import Atlas
 from ._base import AbstractManifold
 
 
@@ -109,3 +112,52 @@ class Product(AbstractManifold):
         keys = jax.random.split(key, len(self.factors))
         parts = zip(self.factors, keys, strict=True)
         return self.join(*(factor.random_points(k, n) for factor, k in parts))
+
+    def product(
+        self, around: np.ndarray | None
+    ) -> "Sequence[tuple[AbstractManifold, np.ndarray | None]]":
+        if around is None:
+            return [(factor, None) for factor in self.factors]
+        parts = map(np.asarray, self.split(jnp.asarray(around)))
+        flat = [part.reshape(len(part), -1) for part in parts]
+        return list(zip(self.factors, flat, strict=True))
+
+    def atlas(self, around: np.ndarray | None) -> Atlas | None:
+        """All tuples of charts of the factors, if each factor has charts."""
+        atlases = [factor.atlas(x) for factor, x in self.product(around)]
+        known = [atlas for atlas in atlases if atlas is not None]
+        return _product_atlas(known) if len(known) == len(atlases) else None
+
+    def parts(self, *arrays: Array) -> "list[tuple]":
+        parts = zip(self.factors, *map(self.split, arrays), strict=True)
+        return [
+            (f"factor {i}, {label}", *inner)
+            for i, (factor, *own) in enumerate(parts)
+            for label, *inner in factor.parts(*own)
+        ]
+
+    def doubt(self, points: np.ndarray) -> str | None:
+        """The first of the factors' doubts."""
+        parts = zip(self.factors, self.split(jnp.asarray(points)), strict=True)
+        found = [
+            (i, factor.doubt(np.asarray(part)))
+            for i, (factor, part) in enumerate(parts)
+        ]
+        return next((f"factor {i}: {text}" for i, text in found if text), None)
+
+
+def _product_atlas(atlases: list[Atlas]) -> Atlas:
+    picked = np.indices([len(a.lower) for a in atlases]).reshape(len(atlases), -1)
+    join = lambda arrays: np.concatenate([a[i] for a, i in zip(arrays, picked)], axis=1)
+    in_u = np.cumsum([a.lower.shape[1] for a in atlases])[:-1]
+    in_label = np.cumsum([a.labels.shape[1] for a in atlases])[:-1]
+
+    def embed(u, label):
+        each = zip(atlases, jnp.split(u, in_u), jnp.split(label, in_label))
+        return jnp.concatenate([a.embed(v, own) for a, v, own in each])
+
+    lower, upper, labels = (
+        join([getattr(a, name) for a in atlases])
+        for name in ("lower", "upper", "labels")
+    )
+    return Atlas(lower, upper, labels, embed)

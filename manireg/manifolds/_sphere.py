@@ -14,6 +14,8 @@ from .._algebra.smooth import (
     sphere_log,
     squared_angle,
 )
+from .._source import Atlas, Chart
+from . import _sphere_rules as rules
 from ._base import AbstractManifold
 
 
@@ -88,3 +90,19 @@ class Sphere(AbstractManifold):
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Uniform on the sphere."""
         return self.project(jax.random.normal(key, (n, self.dim + 1)))
+
+    def chart(self, around: np.ndarray | None) -> Chart | None:
+        """The angle, of the circle."""
+        return rules.circle(self.radius) if self.dim == 1 else None
+
+    def atlas(self, around: np.ndarray | None) -> Atlas:
+        """The faces of a cube."""
+        chart = self.chart(around)
+        return rules.cube(self.dim, self.radius) if chart is None else chart.atlas()
+
+    def even_points(self, n: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """The Fibonacci lattice, on S^2."""
+        return rules.fibonacci(n, self.radius) if self.dim == 2 else None
+
+    def exact_rule(self, n: int) -> tuple[np.ndarray, np.ndarray] | None:
+        return rules.gauss(self.dim, n, self.radius) if self.dim > 1 else None

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from .._algebra.smooth import norm_squared, off_zero
+from .._source import Chart
 from ._base import AbstractManifold
 from ._defaults.logarithm import shooting_log
 from ._defaults.second_form import geodesic_exp
@@ -124,3 +125,14 @@ class Torus(AbstractManifold):
         return jnp.stack(
             [rho * jnp.cos(phi), rho * jnp.sin(phi), self.r * jnp.sin(theta)], -1
         )
+
+    def chart(self, around: np.ndarray | None) -> Chart:
+        r"""$(\varphi, \theta)$."""
+
+        def embed(u):
+            rho = self.R + self.r * jnp.cos(u[1])
+            return jnp.array(
+                [rho * jnp.cos(u[0]), rho * jnp.sin(u[0]), self.r * jnp.sin(u[1])]
+            )
+
+        return Chart(np.zeros(2), np.full(2, 2 * np.pi), (True, True), embed)

@@ -33,7 +33,7 @@ def replaced(array, index, value):
 @pytest.mark.parametrize(
     ("x", "y", "message"),
     [
-        (X[:, None], Y, r"x: expected shape \(k,\) for the interval \[0, 1\], found \("),
+        (np.c_[X, X], Y, r"x: expected shape \(k,\) for the interval \[0, 1\], found \("),
         (X, Y[:, :2], r"y: expected shape \(k, 3\) for Sphere, found \(9, 2\)"),
         (X, Y[:5], "y: expected 9 points, one for each input, found 5"),
         (replaced(X, 3, np.nan), Y, "x: 1 of 9 points hold NaN or infinity .* index 3"),
@@ -152,7 +152,8 @@ for mistake in (
     )
     assert run.stdout.splitlines() == [
         "target: expected a manireg manifold, found Box.",
-        "source: expected an Interval, a Box, an Ambient or a manifold, found tuple.",
+        "source: expected an Interval, a Circle, a Box, an Ambient, a manifold or another "
+        "AbstractSource, found tuple.",
         "method: expected 'projected' or 'penalty', found 'newton'.",
     ]
 

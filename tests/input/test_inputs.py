@@ -298,7 +298,7 @@ def test_traced_points_outside_are_run_time_errors(model, transform, bad):
 
 def test_traced_shapes_are_checked(model):
     with pytest.raises(ValueError, match=r"x: expected shape \(k,\) for the interval"):
-        jax.jit(model)(jnp.ones((3, 1)))
+        jax.jit(model)(jnp.ones((3, 2)))
 
 
 def test_known_points_are_checked_inside_of_jit(on_sphere):

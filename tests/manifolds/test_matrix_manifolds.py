@@ -21,7 +21,6 @@ from manireg.manifolds import (
     Sphere,
     Stiefel,
     SymmetricPositiveDefinite,
-    doubt,
 )
 
 MANIFOLDS = {
@@ -741,14 +740,14 @@ def test_matrices_in_place_of_logarithms_raise_doubts():
     spd = SymmetricPositiveDefinite(2)
     matrices = np.array([[[2e-3, 1e-4], [1e-4, 1e-3]], [[1e-3, 0.0], [0.0, 5e-4]]])
     logarithms = np.asarray(spd.from_matrices(matrices))
-    assert "from_matrices" in (doubt(spd, matrices) or "")
-    assert doubt(spd, logarithms) is None
-    assert doubt(SymmetricPositiveDefinite(1), np.ones((3, 1, 1))) is None
+    assert "from_matrices" in (spd.doubt(matrices) or "")
+    assert spd.doubt(logarithms) is None
+    assert SymmetricPositiveDefinite(1).doubt(np.ones((3, 1, 1))) is None
     pair = Product(Sphere(2), spd)
     joined = lambda m: np.hstack([np.eye(3)[:2], m.reshape(2, 4)])
-    assert (doubt(pair, joined(matrices)) or "").startswith("factor 1: all 2 points")
-    assert doubt(pair, joined(logarithms)) is None
-    assert doubt(Sphere(2), np.eye(3)) is None
+    assert (pair.doubt(joined(matrices)) or "").startswith("factor 1: all 2 points")
+    assert pair.doubt(joined(logarithms)) is None
+    assert Sphere(2).doubt(np.eye(3)) is None
 
 
 @pytest.mark.parametrize("condition", [1e3, 1e6, 1e12])

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._algebra.small import eigh
-from .. import AbstractManifold
+from .._base import AbstractManifold
 
 
 def tangent_frames(source: AbstractManifold, points) -> np.ndarray:

@@ -7,8 +7,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from ..._source import Chart, bounding_box
 from .._arrays import Numbers, as_array, first_index
 from .._base import AbstractManifold
+from .._defaults.frames import tangent_frames
 from .matrix_exponentials import symmetric_log
 from .matrix_functions import symmetric_part
 
@@ -107,6 +109,26 @@ class SymmetricPositiveDefinite(AbstractManifold):
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Standard Gaussian on the symmetric matrices."""
         return self.project(jax.random.normal(key, (n, self.n, self.n)))
+
+    def chart(self, around: np.ndarray | None) -> Chart:
+        """Flat: orthonormal coordinates of the linear span, cut to the data."""
+        basis = tangent_frames(self, np.zeros((1, self.n**2)))[0]
+        low, high = bounding_box(self, None if around is None else around @ basis)
+        span = jnp.asarray(basis)
+        return Chart(low, high, (False,) * self.dim, lambda u: span @ u)
+
+    def doubt(self, points: np.ndarray) -> str | None:
+        """Matrices in place of their logarithms."""
+        symmetric = (points + np.swapaxes(points, -1, -2)) / 2
+        finite = len(points) > 0 and np.isfinite(points).all()
+        if self.n < 2 or not finite or not (np.linalg.eigvalsh(symmetric) > 0).all():
+            return None
+        return (
+            f"all {len(points)} points are positive definite themselves. Points of "
+            "SymmetricPositiveDefinite are logarithms: if these are the matrices S, "
+            "convert them with M.from_matrices(S), and predictions with M.to_matrices. "
+            "(Logarithms of matrices with all eigenvalues above 1 look like this, too.)"
+        )
 
 
 def _check_positive_definite(matrices: np.ndarray) -> None:

@@ -4,7 +4,8 @@ import math
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float, PRNGKeyArray
+import numpy as np
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from .._base import AbstractManifold
 from .matrix_exponentials import rotation_exp, rotation_log, squared_rotation_distance
@@ -91,3 +92,12 @@ class SpecialOrthogonal(AbstractManifold):
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Haar measure: the closest rotations of Gaussian matrices."""
         return self.project(jax.random.normal(key, (n, self.n, self.n)))
+
+    def mistake(self, points: np.ndarray) -> tuple[Bool[np.ndarray, " k"], str, str]:
+        """Reflections."""
+        return (
+            np.linalg.det(points) < 0,
+            "matrices are reflections, not rotations of {}: their determinant is negative",
+            "An axis is mirrored or two are swapped, which no projection mends: change "
+            "the sign of that row or column, or leave these points out.",
+        )

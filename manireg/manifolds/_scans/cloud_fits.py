@@ -82,6 +82,23 @@ def triangle_areas(corners) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
+def points_in_triangles(corners: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """At least `n` points in triangles with corners `(T, 3, 3)`, each cut into equal ones,
+    and the areas of these. The points are a little beside the centroids, which several
+    vertices may be nearest to: rounding would choose the patch."""
+    cuts = int(np.ceil(np.sqrt(n / len(corners))))
+    i, j = np.indices((cuts, cuts)).reshape(2, -1)
+    upright, upturned = i + j < cuts, i + j < cuts - 1
+    u, v = (
+        np.concatenate([a[upright] + 1 / 3, a[upturned] + 2 / 3]) + beside
+        for a, beside in ((i, 0.02), (j, -0.005))
+    )
+    u, v = u / cuts, v / cuts
+    share = np.stack([1 - u - v, u, v], axis=1)
+    points = np.einsum("qc,tcs->tqs", share, corners).reshape(-1, 3)
+    return points, np.repeat(triangle_areas(corners) / cuts**2, len(share))
+
+
 def check_areas(areas, points) -> None:
     areas = as_numbers("areas", areas)
     if areas.shape != (len(points),) or not np.all(areas > 0) or np.isinf(areas).any():

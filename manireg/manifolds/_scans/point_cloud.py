@@ -25,6 +25,7 @@ from .cloud_fits import (
     fitted_quadrics,
     mesh_neighbours,
     plane_frames,
+    points_in_triangles,
     voronoi_areas,
 )
 from .quadric_patch import QuadricPatch
@@ -260,6 +261,20 @@ class PointCloud(AbstractManifold):
         u = jax.random.normal(move, (n, self.dim)) * 0.3 * spacing[:, None]
         shift = jnp.einsum("nsm,nm->ns", self.frames[index], u)
         return self.project(self.points[index] + shift)
+
+    def known_points(self, n: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """The points of the cloud and their areas; where a mesh has fewer than `n`
+        vertices, points in its triangles, with the same sum of areas."""
+        points, areas = np.asarray(self.points), np.asarray(self.areas)
+        if n <= len(points) or self.triangles is None:
+            return points, areas
+        points, shares = points_in_triangles(points[np.asarray(self.triangles)], n)
+        return points, shares * np.sum(areas) / np.sum(shares)
+
+    def tolerance(self, points: Float[np.ndarray, "k s"]) -> float:
+        """Half a spacing: a cloud is known as well as its points are dense."""
+        areas = np.asarray(self.areas)
+        return 0.5 * float(np.median(areas[areas > 0])) ** (1 / self.dim)
 
 
 def _tree(points) -> tuple[Array, Array]:
