@@ -66,8 +66,8 @@ def geodesic(
     if not segments >= 2:
         raise ValueError(f"segments: must be at least 2, found {segments}.")
     p, q, batch = _pairs(manifold, p, q)
-    if isinstance(manifold, PointCloud):
-        if not is_concrete(p, q, manifold.points):
+    if manifold.nearest(p.reshape(len(p), -1)) is not None:
+        if not is_concrete(p, q, *jax.tree.leaves(manifold)):
             raise ValueError(
                 "p, q: on a PointCloud the neighbour graph is searched on the host; call "
                 "`geodesic` outside of jit and vmap, with all pairs in one batch."

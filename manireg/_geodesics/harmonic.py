@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._algebra.banded import solve_banded
 from .._algebra.smooth import norm_squared
-from ..manifolds import AbstractManifold, PointCloud
+from ..manifolds import AbstractManifold
 from ..manifolds._defaults.frames import frames_at
 
 STEP_SIZES = (1.0, 0.5, 0.2, 0.05, 0.01)  # of Newton steps, tried at once
@@ -79,16 +79,14 @@ def minimise_harmonic(
 
 def _nearest(manifold: AbstractManifold, points):
     """Which patches of a point cloud are N near these points; other manifolds have one."""
-    if isinstance(manifold, PointCloud):
-        return manifold.nearest(points)
-    return jnp.zeros(len(points), int)
+    nearest = manifold.nearest(points.reshape(len(points), -1))
+    return jnp.zeros(len(points), int) if nearest is None else nearest
 
 
 def _pointwise(manifold: AbstractManifold, patches, function, *arguments):
     """`function(N, x, ..)` at each point; on a point cloud N is a patch of `patches`."""
-    near, axis = manifold, None
-    if isinstance(manifold, PointCloud):
-        near, axis = manifold.patches(patches), eqx.if_array(0)
+    near = manifold.patches(patches)
+    axis = None if near is manifold else eqx.if_array(0)
     axes = (axis, *(0 for _ in arguments))
     return eqx.filter_vmap(function, in_axes=axes)(near, *arguments)
 

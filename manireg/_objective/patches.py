@@ -4,11 +4,12 @@ Which patch it is depends on the nearest point of the cloud, which jumps; so the
 are held fixed during a Newton solve and renewed before the next (paper, section 4).
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from ..manifolds import PointCloud
 from ..manifolds._scans.quadric_patch import QuadricPatch
 from .problem import Problem, psi_jets
 
@@ -34,20 +35,20 @@ def patches_near(
     patch of `held` stays until another point is nearer by a factor that grows with the
     renewals: two patches that each send the map to the other would be exchanged for ever,
     and a few of these keep an intrinsic energy from settling."""
-    cloud = problem.target
-    if not isinstance(cloud, PointCloud):
-        return None
+    target: Any = problem.target
     families = (problem.energy_jets, problem.data_jets)
     values = [psi_jets(problem, jets, w)[:, :, 0] for jets in families]
-    nearest = [cloud.nearest(psi) for psi in values]
+    nearest = [target.nearest(psi) for psi in values]
+    if nearest[0] is None:
+        return None
     if held is not None:
-        gap = lambda psi, i: jnp.linalg.norm(psi - cloud.points[i], axis=-1)
+        gap = lambda psi, i: jnp.linalg.norm(psi - target.points[i], axis=-1)
         nearest = [
             jnp.where(gap(psi, old) < HOLD**renewals * gap(psi, new), old, new)
             for psi, old, new in zip(values, held.nearest, nearest)
         ]
     energy, data = (
-        _flattened(cloud.patches(i), psi)
+        _flattened(target.patches(i), psi)
         for i, psi in zip(nearest, values, strict=True)
     )
     return Patches((energy, data), (nearest[0], nearest[1]))

@@ -26,7 +26,7 @@ from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._sources.checks import check_data, check_dimension, check_tension
 from .._sources.sources import Source, sampled, sampled_dim
-from ..manifolds import AbstractManifold, PointCloud
+from ..manifolds import AbstractManifold
 from .energies import AbstractEnergy, AmbientEells, Eells, Tension, affine_derivative
 from .terms import AbstractTerm
 
@@ -243,7 +243,7 @@ def _resolution(source: Source, x, centres: int | None, graded: bool):
             nodes, h, quadrature = followed
             return nodes, h, quadrature, spacing.data_volume
     nodes = centres_of(source, n, x, graded)
-    if isinstance(sampled(source), PointCloud):
+    if sampled(source).known_points() is not None:
         spacing = local_spacings(np.asarray(nodes.points), m)
     else:
         spacing = (volume / len(nodes.points)) ** (1 / m)

@@ -1,12 +1,13 @@
 """Squared lengths of shortest curves as the loss on a point cloud, by a few solves."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 
 from .._geodesics.geodesic import geodesic
 from .._input.numbers import Numbers
 from .._objective.problem import Problem
-from ..manifolds import PointCloud
 from .solve import RegressionMap, solve
 
 ROUNDS = 20
@@ -20,14 +21,15 @@ def solve_geodesic(problem: Problem, lam: Numbers, **options) -> RegressionMap:
     $p_i + \log_{p_i} y_i$ in place of $y_i$, until the $p_i$ stay. On other manifolds
     `solve` as it is. Options go to `solve`."""
     model = solve(problem, lam, **options)
-    if not isinstance(problem.target, PointCloud):
+    target: Any = problem.target
+    if target.nearest(problem.y) is None:
         return model
     x = problem.source.from_ambient(problem.x)
     values = model(x)
-    size = jnp.max(jnp.ptp(problem.target.points, axis=0))
+    size = jnp.max(jnp.ptp(target.points, axis=0))
     options = {**options, "starts": ()}
     for _ in range(ROUNDS):
-        pulled = values + geodesic(problem.target, values, problem.y).velocity
+        pulled = values + geodesic(target, values, problem.y).velocity
         nearby = eqx.tree_at(lambda p: p.y, problem, pulled)
         model = solve(nearby, lam, **{**options, "warm": model.coefficients})
         before, values = values, model(x)

@@ -13,7 +13,6 @@ from .._objective.hessian import exact, gauss_newton
 from .._objective.patches import moved, patches_near
 from .._objective.problem import Problem
 from .._objective.sites import Stage
-from ..manifolds import PointCloud
 from .linear import DirectSolvers
 from .minimum import Minimum, newton_solve
 from .newton import Newton, add_counts
@@ -66,18 +65,17 @@ def minimise(
     newton = eqx.tree_at(
         lambda n: (n.atol, n.noise), newton, (newton.atol + noise**2, noise)
     )
-    cloud = isinstance(problem.target, PointCloud)
-    if method == "penalty":
-        if cloud:
-            raise ValueError("method: 'penalty' is for analytic targets; leave it out.")
-        return penalty_path(problem, lam, w0, newton, max_steps)
     stage = stage_of(problem, lam, gauge(problem), method, w0)
-    if cloud:
-        # the patches are wrong by more than this, and exact Hessians dear
-        coarse = (jnp.maximum(newton.rtol, PATCH_RTOL), 0.0, False)
-        newton = eqx.tree_at(lambda n: (n.rtol, n.near, n.certify), newton, coarse)
-        return _rounds(newton, stage, w0, max_steps)
-    return newton_solve(newton, stage, w0, max_steps)
+    if stage.patches is None:
+        if method == "penalty":
+            return penalty_path(problem, lam, w0, newton, max_steps)
+        return newton_solve(newton, stage, w0, max_steps)
+    if method == "penalty":
+        raise ValueError("method: 'penalty' is for analytic targets; leave it out.")
+    # the patches are wrong by more than this, and exact Hessians dear
+    coarse = (jnp.maximum(newton.rtol, PATCH_RTOL), 0.0, False)
+    newton = eqx.tree_at(lambda n: (n.rtol, n.near, n.certify), newton, coarse)
+    return _rounds(newton, stage, w0, max_steps)
 
 
 def _residual_terms(problem: Problem, lam, w: Float[Array, "KC t"]):

@@ -2,17 +2,17 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._input.numbers import Numbers as Numbers, as_numbers
+from ._membership import is_concrete
 
 
 def as_array(name: str, values: Numbers) -> Float[Array, "..."]:
     """Float64, from numbers of any kind; what JAX traces passes."""
-    if isinstance(values, Tracer):
-        return jnp.asarray(values, float)
-    return jnp.asarray(as_numbers(name, values))
+    if is_concrete(values):
+        return jnp.asarray(as_numbers(name, values))
+    return jnp.asarray(values, float)
 
 
 def first_index(bad: np.ndarray) -> int | tuple[int, ...]:

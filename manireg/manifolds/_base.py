@@ -3,7 +3,7 @@
 import abc
 
 import numpy as np
-from jaxtyping import Array, Bool, Float, PRNGKeyArray, ScalarLike
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, ScalarLike
 
 from .._source import AbstractSource, Chart
 from ._membership import by_reach, check_on
@@ -75,7 +75,16 @@ class AbstractManifold(AbstractSource):
         """`n` random points, `(n, *point_shape)`: uniform where N is compact and
         homogeneous, else some distribution of full support."""
 
-    # As a source, and as the place of data. A manifold of your own can leave these.
+    # As a scan, as a source, as the place of data. One of your own can leave these.
+
+    def nearest(self, p: Float[Array, "... s"]) -> Int[Array, "..."] | None:
+        """Which of its patches are near ambient points, flattened; None: it has none."""
+        return None
+
+    def patches(self, index: Int[Array, "..."] | None) -> "AbstractManifold":
+        """What it is near points that have these patches nearest, batched; without
+        patches itself, everywhere."""
+        return self
 
     def chart(self, around: np.ndarray | None) -> Chart | None:
         """None: sampled at points. Override it where there are global coordinates."""

@@ -15,6 +15,7 @@ from .._algebra.smooth import (
 )
 from .._source import Chart, bounding_box
 from ._base import AbstractManifold
+from ._membership import is_concrete
 
 
 class Cylinder(AbstractManifold):
@@ -27,7 +28,7 @@ class Cylinder(AbstractManifold):
     radius: ScalarLike = 1.0
 
     def __check_init__(self):
-        if isinstance(self.radius, float | int) and not self.radius > 0:
+        if is_concrete(self.radius) and not np.asarray(self.radius) > 0:
             raise ValueError(
                 f"Cylinder: `radius` must be positive, found {self.radius}."
             )

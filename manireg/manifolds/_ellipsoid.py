@@ -4,7 +4,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from .._algebra.smooth import norm_squared
@@ -12,6 +11,7 @@ from ._base import AbstractManifold
 from ._defaults.implicit import implicit_solution
 from ._defaults.logarithm import shooting_log
 from ._defaults.second_form import broadcast_points, geodesic_exp
+from ._membership import is_concrete
 
 
 class Ellipsoid(AbstractManifold):
@@ -28,8 +28,7 @@ class Ellipsoid(AbstractManifold):
                 "Ellipsoid: `axes` must be a vector of at least 2 semi-axes, found "
                 f"shape {self.axes.shape}."
             )
-        known = not isinstance(self.axes, Tracer)
-        if known and not np.all(np.asarray(self.axes) > 0):
+        if is_concrete(self.axes) and not np.all(np.asarray(self.axes) > 0):
             raise ValueError(f"Ellipsoid: `axes` must be positive, found {self.axes}.")
 
     @property

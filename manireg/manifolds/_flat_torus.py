@@ -16,6 +16,7 @@ from .._algebra.smooth import (
 )
 from .._source import Chart
 from ._base import AbstractManifold
+from ._membership import is_concrete
 from ._sphere import Sphere
 
 
@@ -38,7 +39,7 @@ class FlatTorus(AbstractManifold):
                 f"FlatTorus: `radii` must be a scalar or of shape ({self.dim},), found "
                 f"shape {jnp.shape(self.radii)}."
             )
-        if isinstance(self.radii, float | int) and not self.radii > 0:
+        if is_concrete(self.radii) and not np.all(np.asarray(self.radii) > 0):
             raise ValueError(
                 f"FlatTorus: `radii` must be positive, found {self.radii}."
             )

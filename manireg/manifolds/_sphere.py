@@ -17,6 +17,7 @@ from .._algebra.smooth import (
 from .._source import Atlas, Chart
 from . import _sphere_rules as rules
 from ._base import AbstractManifold
+from ._membership import is_concrete
 
 
 class Sphere(AbstractManifold):
@@ -32,7 +33,7 @@ class Sphere(AbstractManifold):
     def __check_init__(self):
         if self.dim < 1:
             raise ValueError(f"Sphere: `dim` must be at least 1, found {self.dim}.")
-        if isinstance(self.radius, float | int) and not self.radius > 0:
+        if is_concrete(self.radius) and not np.asarray(self.radius) > 0:
             raise ValueError(f"Sphere: `radius` must be positive, found {self.radius}.")
 
     @property

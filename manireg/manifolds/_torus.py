@@ -10,6 +10,7 @@ from .._source import Chart
 from ._base import AbstractManifold
 from ._defaults.logarithm import shooting_log
 from ._defaults.second_form import geodesic_exp
+from ._membership import is_concrete
 
 
 class Torus(AbstractManifold):
@@ -25,12 +26,11 @@ class Torus(AbstractManifold):
 
     def __check_init__(self):
         R, r = self.R, self.r
-        if isinstance(R, float | int) and isinstance(r, float | int):
-            if not 0 < r < R:
-                raise ValueError(
-                    "Torus: `r` must be positive and smaller than `R`, or the "
-                    f"surface meets itself; found {r} and {R}."
-                )
+        if is_concrete(R, r) and not 0 < np.asarray(r) < np.asarray(R):
+            raise ValueError(
+                "Torus: `r` must be positive and smaller than `R`, or the surface meets "
+                f"itself; found {r} and {R}."
+            )
 
     @property
     def dim(self) -> int:

@@ -6,12 +6,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Complex, Float, PRNGKeyArray
 
 from ..._algebra.smooth import cos_sinc, norm_squared, squared_angle
 from .._arrays import Numbers, as_array, first_index
 from .._base import AbstractManifold
+from .._membership import is_concrete
 from .lines import line_log
 from .matrix_functions import matmul, off_diagonal, symmetric_part, top_eigenprojector
 
@@ -62,7 +62,7 @@ class PlanarShapes(AbstractManifold):
         """
         z = self._helmert_coordinates(landmarks)
         size2 = norm_squared(z.real) + norm_squared(z.imag)
-        if not isinstance(size2, Tracer):
+        if is_concrete(size2):
             shapeless = np.asarray(~(size2 > 0) | ~jnp.isfinite(size2))
             if shapeless.any():
                 raise ValueError(

@@ -4,13 +4,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from ..._source import Chart, bounding_box
 from .._arrays import Numbers, as_array, first_index
 from .._base import AbstractManifold
 from .._defaults.frames import tangent_frames
+from .._membership import is_concrete
 from .matrix_exponentials import symmetric_log
 from .matrix_functions import symmetric_part
 
@@ -65,7 +65,7 @@ class SymmetricPositiveDefinite(AbstractManifold):
                 f"SymmetricPositiveDefinite: matrices must have shape (..., {self.n}, "
                 f"{self.n}), found {matrices.shape}."
             )
-        if not isinstance(matrices, Tracer):
+        if is_concrete(matrices):
             _check_positive_definite(np.asarray(matrices))
         return symmetric_log(symmetric_part(matrices))
 
