@@ -215,6 +215,24 @@ def test_geodesic_loss_is_that_of_the_sphere():
     assert gap["geodesic"].max() < 1e-3
 
 
+def test_geodesic_loss_of_a_circle_is_that_of_its_points():
+    """As above in one dimension less."""
+    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    points = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    cloud, interval = mr.PointCloud(points, points), mr.Interval(0.0, 1.0)
+    x = np.linspace(0, 1, 12)
+    turn = 1.5 * x + 0.8 * np.random.default_rng(0).normal(size=12)
+    y = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    slope = np.polynomial.Polynomial.fit(x, turn, 1)(x)  # lambda so large: a geodesic
+    exact = np.stack([np.cos(slope), np.sin(slope)], axis=1)
+    fits = {
+        loss: mr.fit(interval, cloud, x, y, 100.0, centres=8, loss=loss)(x)
+        for loss in ("chord", "geodesic")
+    }
+    assert np.abs(fits["chord"] - exact).max() > 1e-2
+    assert np.abs(fits["geodesic"] - exact).max() < 1e-3
+
+
 def test_geodesic_loss_needs_lambda():
     x, y = np.zeros(1), np.array([[0.0, 0, 1]])
     with pytest.raises(ValueError, match="loss"):

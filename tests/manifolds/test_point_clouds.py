@@ -123,6 +123,20 @@ def test_rotation_from_cloud_to_cloud():
         assert model.energies.eells < 1e-2
 
 
+def test_rotation_of_a_circle_of_points():
+    """From cloud to cloud, as above in one dimension less."""
+    angle = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    points = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    cloud = mr.PointCloud(points, points)
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    x = points[::5]
+    y = cloud.project(jnp.asarray(x @ turn.T))
+    model = mr.fit(cloud, cloud, x, y, 1e-2, centres=25, degree=1)
+    gap = np.linalg.norm(model(points[2::7]) - points[2::7] @ turn.T, axis=1)
+    assert gap.max() < 5e-3
+    assert model.energies.eells < 1e-2
+
+
 def flipped(points):
     return np.where(points[:, 2:] > 0.5, -points, points)
 

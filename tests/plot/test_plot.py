@@ -4,6 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
+from matplotlib import colormaps
 from matplotlib._pylab_helpers import Gcf
 from matplotlib.image import imread
 
@@ -173,3 +175,88 @@ def test_without_matplotlib(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'manireg\[plots\]'"):
         plot.globe()
+
+
+def painted(picture: Any):
+    """Triangles of a surface in the order of drawing, and their colours."""
+    (drawn,) = picture.axes[0].collections
+    return [path.vertices[:3] for path in drawn.get_paths()], drawn.get_facecolors()
+
+
+def two_squares():
+    """A small one before a large one, seen along z; triangles of the back face away."""
+    square = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    near = np.append(0.5 * square, np.full((4, 1), 2.0), axis=1)
+    far = np.append(square, np.zeros((4, 1)), axis=1)
+    front = np.array([[0, 1, 2], [0, 2, 3]])
+    faces = np.concatenate([front, front + 4, front[:, ::-1] + 4])
+    return trimesh.Trimesh(np.concatenate([near, far]), faces, process=False)
+
+
+def test_surface_draws_what_faces_the_viewer_far_ones_first(tmp_path):
+    picture: Any = plot.figure(3, 3)
+    mesh, values = two_squares(), np.array([0.0, 5.0, 0.5, 1.0, 9.0, 9.0])
+    plot.surface(picture.add_subplot(), mesh, values, (0.0, 5.0), view=(0, 0, 1))
+    triangles, colours = painted(picture)
+    corners = mesh.vertices[mesh.faces][:, :, :2]
+    apart = np.abs(np.asarray(triangles)[:, None] - corners[:4]).max(axis=(2, 3))
+    order, gap = apart.argmin(axis=1), apart.min(axis=1)
+    assert np.all(gap < 1e-12)
+    assert {*order[:2]} == {2, 3} and {*order[2:]} == {0, 1}
+    light = 0.25 + 0.75 * np.clip(0.35 + 0.65 * 0.866, 0, 1)
+    table = colormaps["viridis"](values[:4] / 5.0)[:, :3]
+    np.testing.assert_allclose(colours[:, :3], light * table[order], atol=1e-12)
+    plot.save(picture, tmp_path / "squares.png")
+    image = imread(tmp_path / "squares.png")[:, :, :3]
+    high, wide = image.shape[0] // 2, image.shape[1] // 2
+    step = (
+        min(high, wide) // 10
+    )  # inside the small square, to either side of its diagonal
+    below, above = image[high + step, wide + step], image[high - step, wide - step]
+    np.testing.assert_allclose(below, light * table[0], atol=0.02)
+    np.testing.assert_allclose(above, light * table[1], atol=0.02)
+
+
+def test_surface_takes_values_of_vertices_and_any_view():
+    ball = trimesh.creation.icosphere(2)
+    height = np.asarray(ball.vertices)[:, 2]
+    flat, turned = plot.figure(3, 3), plot.figure(3, 3)
+    view = np.array([1.0, -2.0, 0.5])
+    plot.surface(
+        flat.add_subplot(), ball, height, (-1.0, 1.0), view=tuple(view), up=(0, 0, 1)
+    )
+    triangles, colours = painted(flat)
+    shown = ball.face_normals @ view > 0
+    assert len(triangles) == np.sum(shown)
+    # up is up: the colour of the height, darker or lighter
+    place = np.array([t[:, 1].mean() for t in triangles])
+    assert np.corrcoef(place, colours[:, 1])[0, 1] > 0.8
+    by_face = height[ball.faces].mean(axis=1)
+    plot.surface(
+        turned.add_subplot(), ball, by_face, (-1.0, 1.0), view=tuple(view), up=(0, 0, 1)
+    )
+    np.testing.assert_array_equal(painted(turned)[1], colours)
+
+
+def test_registration_shows_how_much_areas_stretch():
+    ball = trimesh.creation.icosphere(1)
+    bigger = 1.5 * np.asarray(ball.vertices)
+    bent = np.where(bigger[:, :1] > 0, bigger, ball.vertices)
+
+    def mesh(t=1.0):
+        return trimesh.Trimesh((1 - t) * ball.vertices + t * bent, ball.faces)
+
+    stretch = mesh().area_faces / ball.area_faces
+    found = SimpleNamespace(mesh=mesh, stretch=lambda: stretch)
+    picture: Any = plot.registration(found, morph=0.25)
+    *panels, bar = picture.axes
+    titles = [ax.get_title() for ax in panels]
+    assert titles == ["source", "morph 25 %", "registered"]
+    extent = [np.diff(ax.get_xlim())[0] for ax in panels]
+    assert extent[0] < extent[1] < extent[2]
+    limit = 2 ** np.percentile(np.abs(np.log2(stretch)), 98)
+    np.testing.assert_allclose(bar.get_ylim(), [1 / limit, limit])
+    plain = panels[0].collections[0].get_facecolors()[:, :3]
+    coloured = panels[2].collections[0].get_facecolors()[:, :3]
+    shade = lambda rgb: np.ptp(rgb, axis=1) / rgb.max(axis=1)
+    assert np.ptp(shade(plain)) < 0.01 < np.ptp(shade(coloured))

@@ -61,7 +61,7 @@ SLOW = {
 }
 
 
-QUICK = ("Euclidean", "Sphere", "Cylinder", "SPD", "Poses", "line", "circle", "sphere")
+QUICK = ("Euclidean", "Sphere", "Cylinder", "sphere")
 
 
 def slow_but(names):

@@ -57,7 +57,7 @@ def closed_curve():
     return mr.make_problem(mr.Sphere(1), sphere, x, sphere.project(jnp.asarray(y)))
 
 
-@pytest.mark.parametrize("closed", [False, True])
+@pytest.mark.parametrize("closed", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_all_solvers_agree(closed):
     problem = closed_curve() if closed else curve_problem(mr.Sphere(2), sphere_data())
     assert problem.pattern.band is not None

@@ -4,6 +4,7 @@ with the numbers of the given one. Small meshes of one shape, so that programs a
 
 import re
 import warnings
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,8 +13,10 @@ import optimistix as optx
 import pytest
 import trimesh
 from ball_meshes import F, V, doubled, textured_obj, unused_obj
+from typer.testing import CliRunner
 
 import manireg as mr
+from manireg._cli.app import app
 from manireg._surfaces import register as _register
 from manireg.meshes import read_mesh, write_mesh
 
@@ -25,7 +28,9 @@ def mesh(vertices, faces=F):
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
-def register(source, target, ours=LANDMARKS, theirs=LANDMARKS, lam=1e-3):
+def register(
+    source, target, ours: Any = LANDMARKS, theirs: Any = LANDMARKS, lam: float = 1e-3
+):
     return mr.register(source, target, ours, theirs, lam, centres=20, progress=False)
 
 
@@ -103,6 +108,52 @@ def test_stl_has_no_vertex_numbers(clean, tmp_path):
         register(path, mesh(W))
     found = register(path, mesh(W), ours=V[LANDMARKS])
     assert len(found.vertices) == len(V) and found.mesh().is_watertight
+
+
+@pytest.mark.parametrize("form", ["vertices", "positions"])
+def test_command(clean, tmp_path, form):
+    """The same as in Python, in files."""
+    write_mesh(mesh(V), tmp_path / "ball.ply")
+    write_mesh(mesh(W), tmp_path / "bent.obj")
+    if form == "vertices":
+        header, rows = "source,target", np.stack([LANDMARKS, LANDMARKS], axis=1)
+    else:
+        header = "sx,sy,sz,tx,ty,tz"
+        rows = np.concatenate([V[LANDMARKS], W[LANDMARKS]], axis=1)
+    pairs, out = tmp_path / "pairs.csv", tmp_path / "out.ply"
+    np.savetxt(pairs, rows, delimiter=",", header=header, comments="", fmt="%.17g")
+    arguments = [
+        "register", tmp_path / "ball.ply", tmp_path / "bent.obj", "--landmarks", pairs,
+        "--out", out, "--lam", 1e-3, "--centres", 20, "--morph", 0.5,
+        "--picture", tmp_path / "out.png",
+    ]  # fmt: skip
+    run = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert run.exit_code == 0, run.output
+    assert "landmark errors" in run.output
+    ours, theirs = (LANDMARKS,) * 2 if form == "vertices" else np.split(rows, 2, axis=1)
+    again = register(tmp_path / "ball.ply", tmp_path / "bent.obj", ours, theirs)
+    assert np.linalg.norm(again.vertices - clean.vertices, axis=1).mean() < 0.01
+    found = read_mesh(out)
+    np.testing.assert_allclose(found.vertices, again.vertices, atol=1e-6)
+    np.testing.assert_array_equal(found.faces, F)
+    half = read_mesh(tmp_path / "out_morph.ply")
+    np.testing.assert_allclose(half.vertices, again.mesh(0.5).vertices, atol=1e-6)
+    assert (tmp_path / "out.png").stat().st_size > 20_000
+
+
+@pytest.mark.parametrize(
+    ("name", "both"),
+    [
+        ("tension", (1e3, 1.0)),
+        pytest.param("centres", (5, 20), marks=pytest.mark.slow),
+    ],
+)
+def test_chosen_is_what_predicts_landmarks(clean, name, both):
+    """The better of two, found without knowing the truth."""
+    options = {"centres": 20, "progress": False, name: both}
+    found = mr.register(mesh(V), mesh(W), LANDMARKS, LANDMARKS, 1e-3, **options)
+    np.testing.assert_allclose(found.vertices, clean.vertices, atol=1e-9)
+    assert found.cv is not None and found.cv.scores.shape == (len(LANDMARKS), 1)
 
 
 class Reached(Exception):

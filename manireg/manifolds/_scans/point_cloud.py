@@ -64,8 +64,9 @@ class PointCloud(AbstractManifold):
     that of the chord: exact to third order, the fast default near convergence; lengths of
     shortest curves are what `manireg.geodesic` is for.
 
-    **Raises** ValueError for wrong shapes, NaN, zero normals; without triangles also for
-    repeated points and normals that change sides along the surface.
+    **Raises** ValueError for wrong shapes, NaN, zero normals, fewer than 7 points (4 on a
+    curve); without triangles also for repeated points and normals that change sides along
+    the surface.
 
     Source: Steinke and Hein 2008, section 4; the linear term is ours.
     """
@@ -99,6 +100,11 @@ class PointCloud(AbstractManifold):
         if neighbours is None:
             neighbours = min({2: 6, 3: 12}[s], len(points) - 1)
         least = {2: 3, 3: 6}[s]
+        if len(points) <= least:
+            raise ValueError(
+                f"points: {len(points)} are too few to tell how they bend, at least "
+                f"{least + 1} are needed. Subdivide a mesh (`mesh.subdivide()`)."
+            )
         if not least <= neighbours < len(points):
             raise ValueError(
                 f"neighbours: must be at least {least} and less than the number of "
