@@ -1,5 +1,7 @@
 """Shortest curves: inputs, starts, and from them the minimum of the harmonic energy."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -72,8 +74,9 @@ def geodesic(
                 "p, q: on a PointCloud the neighbour graph is searched on the host; call "
                 "`geodesic` outside of jit and vmap, with all pairs in one batch."
             )
-        starts = jnp.asarray(cloud_paths(manifold, p, q, segments))
-        found = _on_cloud(manifold, starts)
+        cloud: Any = manifold
+        starts = jnp.asarray(cloud_paths(cloud, p, q, segments))
+        found = _on_cloud(cloud, starts)
     else:
         found = _on_manifold(manifold, p, q, segments)
     return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)

@@ -1,6 +1,7 @@
 """The manifold interface: what a target (or a source) has to be able to do."""
 
 import abc
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, ScalarLike
@@ -81,7 +82,7 @@ class AbstractManifold(AbstractSource):
         """Which of its patches are near ambient points, flattened; None: it has none."""
         return None
 
-    def patches(self, index: Int[Array, "..."] | None) -> "AbstractManifold":
+    def patches(self, index: Int[Array, "..."]) -> Any:
         """What it is near points that have these patches nearest, batched; without
         patches itself, everywhere."""
         return self
