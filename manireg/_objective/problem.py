@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PyTree, ScalarLike
 
 from .._algebra.sparse import SparsityPattern, band_order, sparsity
-from .._discretisation.domain import Domain, centres_of, discretise
-from .._discretisation.following import follow
+from .._discretisation.domain import Domain
 from .._discretisation.jets import (
     Jets,
     bucket_centres,
@@ -20,8 +19,7 @@ from .._discretisation.jets import (
     value_jets,
 )
 from .._discretisation.local_polynomials import LocalPolynomials, local_polynomials
-from .._discretisation.local_spacing import clustered_spacing
-from .._discretisation.spacing import local_spacings
+from .._discretisation.sampling import sample
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._sources.checks import check_data, check_dimension, check_tension
@@ -29,9 +27,6 @@ from .._sources.sources import Source, sampled, sampled_dim
 from ..manifolds import AbstractManifold
 from .energies import AbstractEnergy, AmbientEells, Eells, Tension, affine_derivative
 from .terms import AbstractTerm
-
-DEFAULT_CENTRES = {1: (30, 100), 2: (50, 400), 3: (60, 400)}  # least and most
-CLUSTERED = 400  # at most, where the data cluster
 
 
 class Problem(eqx.Module):
@@ -177,7 +172,7 @@ def make_problem(
         )
     if width is None:
         width = energy.widths[min(m, 2) - 1]
-    nodes, spacing, domain, data_volume = _resolution(source, x, centres, graded)
+    nodes, spacing, domain, data_volume = sample(source, x, centres, graded)
     basis = local_polynomials(nodes, width * spacing, degree, domain)
     if m == 1:
         order = band_order(np.asarray(basis.centres), np.asarray(basis.widths))
@@ -224,30 +219,6 @@ def _check_terms(energy: AbstractEnergy, terms: Sequence[AbstractTerm]) -> None:
                 f"terms: {term.name} reads derivatives of the orders {term.orders}; at "
                 f"the {term.place} there are {known}."
             )
-
-
-def _resolution(source: Source, x, centres: int | None, graded: bool):
-    """Centres, the spacing around them, quadrature, and the volume that the data fill: all
-    of it, or where they cluster what they would fill at their median density."""
-    m = sampled_dim(source)
-    low, high = DEFAULT_CENTRES.get(m, DEFAULT_CENTRES[3])
-    n = int(np.clip(len(x), low, high)) if centres is None else centres
-    domain = discretise(source, n, x, graded)
-    volume = float(jnp.sum(domain.weights))
-    data = np.asarray(x)
-    spacing = None if graded else clustered_spacing(data, m, volume, n, low)
-    if spacing is not None:
-        most = CLUSTERED if centres is None else centres
-        followed = follow(source, spacing, most, x, finer=centres is not None)
-        if followed is not None:
-            nodes, h, quadrature = followed
-            return nodes, h, quadrature, spacing.data_volume
-    nodes = centres_of(source, n, x, graded)
-    if sampled(source).known_points() is not None:
-        spacing = local_spacings(np.asarray(nodes.points), m)
-    else:
-        spacing = (volume / len(nodes.points)) ** (1 / m)
-    return nodes, spacing, domain, volume
 
 
 def assemble_problem(

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._solver.solve import RegressionMap
+from .._solver.model import RegressionMap
 from .path import Leg, follow
 from .scores import AbstractScore, Fit
 

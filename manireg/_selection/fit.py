@@ -5,7 +5,8 @@ from typing import Any, Literal
 from .._input.numbers import Numbers
 from .._objective.problem import make_problem
 from .._solver.geodesic_loss import solve_geodesic
-from .._solver.solve import RegressionMap, solve
+from .._solver.model import RegressionMap
+from .._solver.solve import solve
 from .._sources.sources import Source
 from ..manifolds import AbstractManifold
 from .cross_validate import cross_validate

@@ -18,7 +18,8 @@ from .._objective.problem import Problem, psi_at_data
 from .._solver.leverages import left_out_errors
 from .._solver.linear import DirectSolvers, direct_solvers
 from .._solver.minimise import gauge, minimise, newton_minimiser, stage_of
-from .._solver.solve import RegressionMap, regression_map, solve
+from .._solver.model import RegressionMap, regression_map
+from .._solver.solve import solve
 from .._solver.starts import free_solution, starts_of
 from .folds import held_out_error
 from .sweep import sweep

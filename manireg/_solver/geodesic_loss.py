@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from .._geodesics.geodesic import geodesic
 from .._input.numbers import Numbers
 from .._objective.problem import Problem
-from .solve import RegressionMap, solve
+from .model import RegressionMap
+from .solve import solve
 
 ROUNDS = 20
 SETTLED = 1e-5  # of the size of N: largest change of a fitted value at which they stop

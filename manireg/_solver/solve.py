@@ -1,35 +1,25 @@
 """From a problem and a lambda to a fitted map: starts, Newton, implicit derivatives."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
-import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from .._discretisation.jets import centres_near
-from .._discretisation.local_polynomials import (
-    COVERED,
-    LocalPolynomials,
-    basis_values,
-    cover,
-)
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._objective.hessian import exact, gauss_newton
-from .._objective.objective import Energies, objective
+from .._objective.objective import objective
 from .._objective.problem import Problem
 from .._objective.resolution import warn_where_coarse
 from .._objective.sites import Stage
-from .._sources.checks import check_inputs, check_lam, is_concrete, projected
-from .._sources.sources import Source
-from ..manifolds import AbstractManifold
+from .._sources.checks import check_lam, is_concrete
 from .linear import DirectSolvers, direct_solvers
 from .minimise import Method, minimise, newton_minimiser, stage_of
+from .model import RegressionMap, regression_map
 from .newton import add_counts
 from .starts import STRIDE, starts_of
 
@@ -39,84 +29,6 @@ CURE = (
     "Try another `lam`, more `starts` such as (1.0, 0.01, 0.0001), or `warm`, the "
     "coefficients of a fit with a `lam` next to it; `throw=False` gives the map as it is."
 )
-
-
-class RegressionMap(eqx.Module):
-    """A fitted map from `source` to `target`: call it on new points."""
-
-    source: Source
-    target: AbstractManifold
-    basis: LocalPolynomials
-    origin: Float[Array, " t"]
-    coefficients: Float[Array, "KC t"]
-    """Of the basis, for what comes to `origin`."""
-    lam: Float[Array, ""]
-    energies: Energies
-    result: optx.RESULTS
-    stats: dict[str, Any]
-
-    __hash__ = object.__hash__  # `jax.jit(model)` asks for one
-
-    def __call__(self, x: Numbers) -> Float[Array, "..."]:
-        """Values at `x`, `(n, *source.point_shape)`: `(n, *target.point_shape)`, on the
-        target. A single point, `(*source.point_shape)`, gives a single point, so
-        `jax.vmap`, `jax.jit` and `jax.grad` take the model as it is.
-
-        **Raises** ValueError for wrong shapes, NaN, points off the source, and for a model
-        that was unpickled in float32 mode; a run-time error (`equinox.error_if`) outside
-        the cover of the fitted map. Of traced `x` the values are not known: NaN and points
-        outside an `Interval`, a `Box` or the cover are run-time errors, too; whether they
-        lie on a curved source is not looked at: `source.project` them if in doubt.
-        """
-        check_x64(self.basis)
-        flat, single = check_inputs(self.source, x)
-        values, covered = evaluate(self.basis, self.coefficients, flat, self.origin)
-        values = eqx.error_if(
-            values,
-            ~covered,
-            "x: some points lie outside the support of every centre of the fitted map; "
-            "fit with inputs that cover them.",
-        )
-        points = projected(self.target, values.reshape(-1, *self.target.point_shape))
-        return points[0] if single else points
-
-
-def evaluate(
-    basis: LocalPolynomials,
-    w: Float[Array, "KC t"],
-    x: Float[Array, "n s"],
-    origin: Float[Array, " t"],
-) -> tuple[Float[Array, "n t"], Array]:
-    """Psi at `x`, before the projection to N; and whether all of `x` is covered. Traced
-    points are compared with all centres, others only with those near them."""
-    concrete = is_concrete(x, basis.centres, basis.widths)
-    near = jnp.asarray(centres_near(basis, np.asarray(x))) if concrete else None
-    return _evaluate(basis, w, x, origin, near)
-
-
-@eqx.filter_jit
-def _evaluate(basis, w, x, origin, near):
-    everywhere = jnp.arange(len(basis.centres))
-    w = w.reshape(len(basis.centres), basis.size, -1)
-
-    def one(x, near=everywhere):
-        values = basis_values(basis, x, near).reshape(len(near), -1)
-        psi = jnp.einsum("lc,lct->t", values, w[near])
-        return origin + psi, cover(basis, x, near) > COVERED
-
-    points = (x,) if near is None else (x, near)
-    values, covered = jax.lax.map(lambda point: one(*point), points, batch_size=256)
-    return values, jnp.all(covered)
-
-
-def regression_map(
-    problem: Problem, w: Float[Array, "KC t"], lam, energies, result, stats
-) -> RegressionMap:
-    """The map with coefficients `w`."""
-    source, target, basis = problem.source, problem.target, problem.basis
-    return RegressionMap(
-        source, target, basis, problem.origin, w, lam, energies, result, stats
-    )
 
 
 def solve(

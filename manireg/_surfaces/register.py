@@ -3,8 +3,6 @@
 import itertools
 import warnings
 from collections.abc import Sequence
-from pathlib import Path
-from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,17 +16,14 @@ from .._objective.problem import make_problem, with_tension
 from .._selection.choice import CrossValidation
 from .._selection.leave_one_out import leave_one_out
 from .._selection.scores import RTOL, cut_errors
-from .._solver.solve import RegressionMap, evaluate, solve
-from .._sources.checks import check_landmarks
+from .._solver.model import RegressionMap, evaluate
+from .._solver.solve import solve
 from .._sources.sources import Ambient
 from ..manifolds import PointCloud
-from ..meshes._files import numbers_vertices
-from ..meshes._surface import as_mesh
+from .given import Surface, given_surface, landmark_positions, normals_at
 from .orientation import check_orientation
 
 PAD = 8192  # targets are padded to multiples: similar ones share compiled programs
-
-Surface = trimesh.Trimesh | PointCloud | str | Path
 
 
 class Registration(eqx.Module):
@@ -109,10 +104,10 @@ def register(
     RuntimeError for a fit that ends in NaN.
     """
     check_x64()
-    ours, theirs = _surface("source", source), _surface("target", target)
+    ours, theirs = given_surface("source", source), given_surface("target", target)
     cloud, onto = ours.cloud, theirs.cloud
-    x = _positions("source_landmarks", source_landmarks, ours)
-    y = _positions("target_landmarks", target_landmarks, theirs)
+    x = landmark_positions("source_landmarks", source_landmarks, ours)
+    y = landmark_positions("target_landmarks", target_landmarks, theirs)
     if len(x) != len(y) or len(x) < 5:
         raise ValueError(
             f"landmarks: at least 5 pairs are needed, found {len(x)} on the source and "
@@ -123,7 +118,7 @@ def register(
         if spread[1] <= 1e-3 * spread[0]:
             raise ValueError(f"{name}: all on one line; spread them out.")
     if ours.faces is not None:
-        check_orientation(x, y, _normals(cloud, x), _normals(onto, y))
+        check_orientation(x, y, normals_at(cloud, x), normals_at(onto, y))
     padded = onto.padded(-(-len(onto.points) // PAD) * PAD)
     choices = _choices(geometry, centres, tension)
     several = sum(map(len, choices.values())) > 1
@@ -200,71 +195,3 @@ def _predicted_error(cv: CrossValidation | None) -> float:
     if cv is None:
         return 0.0
     return float(cut_errors(np.asarray(cv.scores[:, cv.chosen])).mean())
-
-
-class _Surface(NamedTuple):
-    """A point cloud, and the mesh it was given by."""
-
-    cloud: PointCloud
-    """Without `of_vertex`: programs are shared whatever the mesh repeats or leaves out."""
-    vertices: Float[np.ndarray, "n 3"]
-    of_vertex: Int[np.ndarray, " n"]
-    """The point of each vertex."""
-    faces: Int[np.ndarray, "f 3"] | None
-    numbered: bool
-
-
-def _surface(name: str, surface: Surface) -> _Surface:
-    if isinstance(surface, PointCloud):
-        points, numbers = np.asarray(surface.points), surface.of_vertex
-        numbers = np.arange(len(points)) if numbers is None else np.asarray(numbers)
-        return _Surface(_bare(surface), points[numbers], numbers, None, True)
-    numbered = isinstance(surface, trimesh.Trimesh) or numbers_vertices(surface)
-    try:
-        mesh = as_mesh(surface)
-        cloud = PointCloud.from_mesh(mesh)
-    except ValueError as error:
-        raise ValueError(str(error).replace("mesh:", f"{name}:", 1)) from error
-    vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
-    of_vertex = np.asarray(cloud.of_vertex)
-    return _Surface(_bare(cloud), vertices, of_vertex, faces, numbered)
-
-
-def _bare(cloud: PointCloud) -> PointCloud:
-    is_none = lambda leaf: leaf is None
-    return eqx.tree_at(lambda c: c.of_vertex, cloud, None, is_leaf=is_none)
-
-
-def _normals(cloud: PointCloud, points) -> Float[np.ndarray, "l 3"]:
-    return np.asarray(cloud.normals[cloud.nearest(jnp.asarray(points))])
-
-
-def _positions(name: str, landmarks, surface: _Surface) -> Float[np.ndarray, "l 3"]:
-    """Landmarks as points of the surface."""
-    landmarks, vertices = np.asarray(landmarks), surface.vertices
-    if landmarks.ndim == 1 and landmarks.dtype.kind in "iu":
-        if not surface.numbered:
-            raise ValueError(
-                f"{name}: vertex numbers, but STL files do not number vertices. Give "
-                "positions (l, 3), or a mesh as PLY or OBJ."
-            )
-        wrong = landmarks[(landmarks < 0) | (landmarks >= len(vertices))]
-        if len(wrong):
-            raise ValueError(
-                f"{name}: vertex {wrong[0]} does not exist; there are {len(vertices)}."
-            )
-        positions = vertices[landmarks]
-    elif landmarks.ndim == 2 and landmarks.shape[1] == 3:
-        positions = landmarks.astype(float)
-    else:
-        raise ValueError(
-            f"{name}: expected vertex numbers (l,) or positions (l, 3), found shape "
-            f"{landmarks.shape} of {landmarks.dtype}."
-        )
-    bad = np.flatnonzero(~np.all(np.isfinite(positions), axis=1))
-    if len(bad):
-        raise ValueError(
-            f"{name}: NaN or infinity in {len(bad)} of {len(positions)} (first at index "
-            f"{bad[0]}); remove these pairs."
-        )
-    return check_landmarks(name, surface.cloud, positions)

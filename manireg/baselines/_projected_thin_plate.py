@@ -12,7 +12,7 @@ from .._selection.choice import evaluated
 from .._selection.folds import held_out_error, training_sets
 from .._selection.lambda_grid import lambda_grid
 from .._solver.linear import DirectSolvers, direct_solvers
-from .._solver.solve import evaluate
+from .._solver.model import evaluate
 from .._solver.starts import free_solution
 from .._sources.checks import check_lam, check_lams
 from .._sources.sources import Source

@@ -12,7 +12,7 @@ import manireg as mr
 from manireg._discretisation.domain import discretise
 from manireg._discretisation.following import follow
 from manireg._discretisation.local_spacing import clustered_spacing, spacings_of
-from manireg._objective.problem import DEFAULT_CENTRES
+from manireg._discretisation.sampling import DEFAULT_CENTRES
 from manireg._objective.resolution import warn_where_coarse
 
 LINE = mr.Euclidean(1)

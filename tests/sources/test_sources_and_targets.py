@@ -12,7 +12,7 @@ from scipy.integrate import dblquad
 import manireg as mr
 from manireg._discretisation.domain import discretise
 from manireg._solver.linear import direct_solvers
-from manireg._solver.solve import evaluate
+from manireg._solver.model import evaluate
 from manireg._solver.starts import free_solution
 
 pytestmark = pytest.mark.slow  # minutes of compilation
