@@ -1,4 +1,4 @@
-"""Centres and quadrature that follow the data where those cluster (`_local_spacing`)."""
+"""Centres and quadrature that follow the data where those cluster (`local_spacing`)."""
 
 from collections.abc import Callable
 from typing import NamedTuple
