@@ -5,11 +5,13 @@ Targets x sources x lambda over 12 decades x numbers of data, each a random smoo
 noise from none to more than the map. What a fit says of itself is checked independently:
 the gradient, in units of what rounding leaves, and the smallest eigenvalue of the exact
 Hessian, both dense. `python benchmarks/random_problems.py --problems 10000` takes hours;
-`--problems 300` is a sample. Prints a table, writes `results/random_problems.csv`.
+`--problems 300` is a sample, `--shapes` picks some of the 29 programs. Every problem is a
+line of `results/random_problems.csv` as it is done; `.md` has the shares.
 """
 
 import argparse
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import equinox as eqx
@@ -17,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
+import pandas as pd
 import scipy.linalg as sl
 
 import manireg as mr
@@ -120,7 +123,6 @@ def main():
     options = parser.parse_args()
     numbers = options.shapes or range(len(SHAPES))
     each = -(-options.problems // len(SHAPES))
-    rows = []
     file = options.out.open("w", newline="", buffering=1)  # a long run, kept as it goes
     table = csv.writer(file)
     table.writerow((*COLUMNS, *MORE))
@@ -136,29 +138,48 @@ def main():
             f, gradient, curvature = checked(problem, jnp.asarray(lam), model)
             row = (source, target, k, round(decade - middle, 2), noise, part, success)
             steps = int(model.stats["num_steps"])
-            rows.append((*row, steps, f, gradient, curvature))
-            table.writerow(rows[-1])
-        tried = [row for row in rows if row[:3] == (source, target, k)]
-        failed = sum(not row[6] for row in tried)
-        false = sum(is_false(row) for row in tried)
-        steps = np.quantile([row[7] for row in tried], [0.5, 0.99])
-        print(
-            f"{source:9s} {target:10s} {k:4d}: {failed:3d} of {len(tried)} failed, "
-            f"{false} false, steps {steps[0]:.0f} / {steps[1]:.0f}",
-            flush=True,
-        )
+            table.writerow((*row, steps, f, gradient, curvature))
     file.close()
-    steps = np.quantile([row[7] for row in rows], [0.5, 0.99])
-    failed = np.mean([not row[6] for row in rows])
-    print(
-        f"{len(rows)} problems: {sum(map(is_false, rows))} false successes, "
-        f"{failed:.2%} failures, steps {steps[0]:.0f} (median), {steps[1]:.0f} (99 %)"
-    )
+    print(write_report([options.out], options.out.with_suffix(".md")))
 
 
-def is_false(row) -> bool:
+def write_report(tables: Sequence[Path], report: Path) -> str:
+    """What was found in all tables (of several processes, say)."""
+    found = pd.concat(map(pd.read_csv, tables))
+    found["failed"] = 100.0 * ~found["success"]
+    found["false"] = is_false(found)
+    parts = [
+        f"{len(found)} random problems, {found['false'].sum()} false successes, "
+        f"{found['failed'].mean():.1f} % failed; steps: median "
+        f"{found['steps'].median():.0f}, 99 % {found['steps'].quantile(0.99):.0f}."
+    ]
+    for name in ("noise", "k", "target", "source"):
+        by = found.groupby(name)
+        table = pd.DataFrame(
+            {
+                "problems": by.size(),
+                "false": by["false"].sum(),
+                "failed, %": by["failed"].mean().round(1),
+                "steps, median": by["steps"].median().astype(int),
+            }
+        )
+        rows = [
+            f"| {label} | {' | '.join(map(str, row))} |"
+            for label, *row in table.astype(object).itertuples()
+        ]
+        head = [name, *table.columns]
+        parts.append(
+            "\n".join([f"| {' | '.join(head)} |", "|" + " --- |" * len(head), *rows])
+        )
+    text = "\n\n".join(parts) + "\n"
+    report.write_text(text)
+    return text
+
+
+def is_false(found: pd.DataFrame) -> pd.Series:
     """Success, but a Newton step still promises a millionth, or the Hessian bends down."""
-    return row[6] and (row[9] > 1e-6 or row[10] < -CURVED)
+    wrong = (found["gradient"] > 1e-6) | (found["curvature"] < -CURVED)
+    return found["success"] & wrong
 
 
 if __name__ == "__main__":
