@@ -87,7 +87,7 @@ def _nodes(chart: Chart, n: int):
 
 
 def discretise(
-    source: AbstractSource, n: int, around=None, graded: bool = False
+    source: AbstractSource, n: int, around=None, graded: bool = False, order: int = 2
 ) -> Domain:
     """Quadrature for a basis of about `n` centres: 10 points a centre on curves, 16 on
     surfaces (12 on point clouds), 27 in dimension 3 (fewer hides stiff modes of the
@@ -99,8 +99,8 @@ def discretise(
     - `n`: the number of centres of the basis.
     - `around`: data points (flattened). Unbounded sources (Euclidean space, cylinder,
       SPD matrices) are cut to the box that holds them, which is then required.
-    - `graded`: points denser near `around`, weights in proportion to spacing^{4-m}, with
-      the same sum; point clouds only.
+    - `graded`: points denser near `around`, weights in proportion to spacing^{2 order - m}
+      (`order` that of the energy), with the same sum; point clouds only.
 
     Point clouds give points of theirs and share out the areas (a mesh with too few
     vertices points in its triangles); `Ambient` takes over what
@@ -111,10 +111,12 @@ def discretise(
     space.
     """
     around = _checked_data(source, around, graded)
-    return seen_from(source, _quadrature(source.sampled, n, around, graded))
+    return seen_from(source, _quadrature(source.sampled, n, around, graded, order))
 
 
-def _quadrature(source: AbstractSource, n: int, around, graded: bool = False) -> Domain:
+def _quadrature(
+    source: AbstractSource, n: int, around, graded: bool = False, order: int = 2
+) -> Domain:
     chart = source.chart(around)
     if chart is not None:
         return sample_domain(grid(chart, _rules(chart, n)))
@@ -123,7 +125,8 @@ def _quadrature(source: AbstractSource, n: int, around, graded: bool = False) ->
     if (known := source.known_points()) is not None:
         n = min(n, len(known[0])) * _ON_CLOUD
         known = source.known_points(n) or known
-        return with_second_forms(source, *of_known(source, known, n, around, graded))
+        sample = of_known(source, known, n, around, graded, order)
+        return with_second_forms(source, *sample)
     n = n * nodes_per_axis(source.dim) ** source.dim
     return with_second_forms(source, *quasi_uniform(source, n, with_weights=True))
 

@@ -106,10 +106,11 @@ def quasi_uniform(source, n: int, with_weights: bool) -> FlatSample:
 
 
 def of_known(
-    source, known: tuple[np.ndarray, np.ndarray], n: int, around, graded: bool
+    source, known: tuple[np.ndarray, np.ndarray], n: int, around, graded: bool, order=2
 ) -> FlatSample:
     """`n` of the points of a cloud, farthest points from those next to `around` (if they
-    are no more than `n`); the area of every point goes to the nearest of them."""
+    are no more than `n`); the area of every point goes to the nearest of them. `order`:
+    of the energy, whose lambda has the unit length^{2 order - m}."""
     points, areas = known
     first, spacing = [], 1.0
     if around is not None:
@@ -121,7 +122,7 @@ def of_known(
         spacing = data_spacings(points, np.asarray(around))
     index = farthest_indices(points, min(n, len(points)), first, spacing)
     index = index[np.sort(np.unique(index, return_index=True)[1])]
-    local_lam = spacing ** (4 - source.dim)
+    local_lam = spacing ** (2 * order - source.dim)
     areas = areas * local_lam * np.sum(areas) / np.sum(areas * local_lam)
     weights = _shared_out(points, areas, points[index])
     chosen = jnp.asarray(points[index])

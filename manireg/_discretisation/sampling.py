@@ -13,13 +13,13 @@ DEFAULT_CENTRES = {1: (30, 100), 2: (50, 400), 3: (60, 400)}  # least and most
 CLUSTERED = 400  # at most, where the data cluster
 
 
-def sample(source: Source, x, centres: int | None, graded: bool):
+def sample(source: Source, x, centres: int | None, graded: bool, order: int):
     """Centres, the spacing around them, quadrature, and the volume that the data fill: all
     of it, or where they cluster what they would fill at their median density."""
     m = sampled_dim(source)
     low, high = DEFAULT_CENTRES.get(m, DEFAULT_CENTRES[3])
     n = int(np.clip(len(x), low, high)) if centres is None else centres
-    domain = discretise(source, n, x, graded)
+    domain = discretise(source, n, x, graded, order)
     volume = float(jnp.sum(domain.weights))
     data = np.asarray(x)
     spacing = None if graded else clustered_spacing(data, m, volume, n, low)

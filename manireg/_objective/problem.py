@@ -172,7 +172,9 @@ def make_problem(
         )
     if width is None:
         width = energy.widths[min(m, 2) - 1]
-    nodes, spacing, domain, data_volume = sample(source, x, centres, graded)
+    nodes, spacing, domain, data_volume = sample(
+        source, x, centres, graded, energy.order
+    )
     basis = local_polynomials(nodes, width * spacing, degree, domain)
     if m == 1:
         order = band_order(np.asarray(basis.centres), np.asarray(basis.widths))

@@ -56,7 +56,8 @@ def _wanted_spacings(
     """The largest spacing of centres that does not limit the fit at each datum, and the
     one there is."""
     h = spacings_of(data, m)
-    wavelength = 2 * np.pi * (lam * len(data) * h**m) ** 0.25
+    root = 1 / (2 * problem.energy.order)
+    wavelength = 2 * np.pi * (lam * len(data) * h**m) ** root
     centres = np.asarray(problem.basis.centres)
     tree = KDTree(centres)
     apart = tree.query(centres, k=2)[0][:, 1]

@@ -1,5 +1,6 @@
 """Lambda as a wavelength: a perturbation of wavelength l adds to loss and penalty alike at
-lambda = (l / 2 pi)^4 / V, V the volume that the data fill, whatever the target's scale."""
+lambda = (l / 2 pi)^4 / V, V the volume that the data fill, whatever the target's scale (4:
+twice the order of the energy)."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +18,8 @@ def mean_spacing(problem: Problem):
 
 
 def lambda_of_wavelength(problem: Problem, wavelength):
-    return (wavelength / (2 * np.pi)) ** 4 / problem.data_volume
+    power = 2 * problem.energy.order
+    return (wavelength / (2 * np.pi)) ** power / problem.data_volume
 
 
 def anchor(problem: Problem):
