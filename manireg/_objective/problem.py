@@ -58,7 +58,7 @@ class Problem(eqx.Module):
     data_places: tuple[Int[Array, "_ _"], ...]
     energy: AbstractEnergy
     energy_arguments: PyTree[Float[Array, "Q ..."]]
-    terms: tuple[tuple[AbstractTerm, PyTree[Float[Array, "n ..."]]], ...]
+    terms: tuple[tuple[AbstractTerm, PyTree[Array]], ...]
     """Others, with what they read at each point."""
     data_volume: Float[Array, ""]
     """Of the part of the source that the data fill: less than `volume` where they
