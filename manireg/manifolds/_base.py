@@ -3,6 +3,7 @@
 import abc
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, ScalarLike
 
@@ -76,7 +77,15 @@ class AbstractManifold(AbstractSource):
         """`n` random points, `(n, *point_shape)`: uniform where N is compact and
         homogeneous, else some distribution of full support."""
 
-    # As a scan, as a source, as the place of data. One of your own can leave these.
+    # The metric, as a scan, as a source, as the place of data. One of your own can leave
+    # these.
+
+    def squared_norm(
+        self, p: Float[Array, "..."], v: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""$|v|^2$ of vectors tangent at $\pi(p)$, shape `(...)`; here in that of the
+        ambient space."""
+        return jnp.sum(v**2, axis=tuple(range(-len(self.point_shape), 0)))
 
     def nearest(self, p: Float[Array, "... s"]) -> Int[Array, "..."] | None:
         """Which of its patches are near ambient points, flattened; None: it has none."""
