@@ -11,8 +11,9 @@ from scipy.sparse.linalg import spsolve
 
 from manireg._input.numbers import Numbers
 from manireg._input.precision import check_x64
+from manireg._source import AbstractSource
 from manireg._sources.checks import check_data, check_lam
-from manireg._sources.sources import Box, Interval, Source
+from manireg._sources.sources import Box, Interval
 from manireg.baselines._inputs import only_for, predicted
 from manireg.baselines._projected_thin_plate import projected_thin_plate
 from manireg.manifolds import AbstractManifold
@@ -50,7 +51,7 @@ class HardConstraint(eqx.Module):
 
 
 def hard_constraint(
-    source: Source,
+    source: AbstractSource,
     target: AbstractManifold,
     x: Numbers,
     y: Numbers,

@@ -69,8 +69,10 @@ def _centres(source: AbstractSource, n: int, around, graded: bool = False) -> Do
     if source.product(around) is not None:
         return _product_domain(source, n, around, _centres)
     if (known := source.known_points()) is not None:
-        nodes, _ = source.known_points(_ON_CLOUD * len(known[0])) or known
-        n = min(n, max(_FEW, len(nodes) // _ON_CLOUD), len(known[0]))
+        size = len(known[0])
+        more, _ = source.known_points(size + 1) or known
+        most = size if len(more) > size else max(_FEW, size // _ON_CLOUD)
+        n = min(n, most, size)
         return with_second_forms(source, *of_known(source, known, n, around, graded))
     return with_second_forms(source, *quasi_uniform(source, n, with_weights=False))
 

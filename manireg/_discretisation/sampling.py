@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from .._sources.sources import Source, sampled, sampled_dim
+from .._source import AbstractSource
 from .domain import centres_of, discretise
 from .following import follow
 from .local_spacing import clustered_spacing
@@ -13,10 +13,10 @@ DEFAULT_CENTRES = {1: (30, 100), 2: (50, 400), 3: (60, 400)}  # least and most
 CLUSTERED = 400  # at most, where the data cluster
 
 
-def sample(source: Source, x, centres: int | None, graded: bool, order: int):
+def sample(source: AbstractSource, x, centres: int | None, graded: bool, order: int):
     """Centres, the spacing around them, quadrature, and the volume that the data fill: all
     of it, or where they cluster what they would fill at their median density."""
-    m = sampled_dim(source)
+    m = source.sampled.dim
     low, high = DEFAULT_CENTRES.get(m, DEFAULT_CENTRES[3])
     n = int(np.clip(len(x), low, high)) if centres is None else centres
     domain = discretise(source, n, x, graded, order)
@@ -30,7 +30,7 @@ def sample(source: Source, x, centres: int | None, graded: bool, order: int):
             nodes, h, quadrature = followed
             return nodes, h, quadrature, spacing.data_volume
     nodes = centres_of(source, n, x, graded)
-    if sampled(source).known_points() is not None:
+    if source.sampled.known_points() is not None:
         spacing = local_spacings(np.asarray(nodes.points), m)
     else:
         spacing = (volume / len(nodes.points)) ** (1 / m)

@@ -1,6 +1,5 @@
 """Energies: what lambda multiplies, each with the discretisation it needs."""
 
-import abc
 from typing import ClassVar
 
 import equinox as eqx
@@ -21,6 +20,7 @@ class AbstractEnergy(AbstractTerm):
     """A term of the integral over the source that smooths: of derivatives of order
     `order`, times lambda, whose unit is a length to the power of `2 order - m`."""
 
+    place = "quadrature"
     order: ClassVar[int]
     gauge: ClassVar[float]
     """gamma vol(M) of solves in one stage."""
@@ -31,13 +31,13 @@ class AbstractEnergy(AbstractTerm):
     widths: ClassVar[tuple[float, float]]
     """Of their supports in spacings, by default: on curves, above."""
 
-    @abc.abstractmethod
     def penalised(self) -> "AbstractEnergy":
         """The one to be minimised with gamma raised in stages (`method="penalty"`)."""
+        return self
 
-    @abc.abstractmethod
     def of_coordinate(self) -> "AbstractEnergy":
         """That of the first coordinate of maps into a Euclidean space."""
+        return self
 
     def square(self, near: AbstractManifold, jet: Jet, args):
         """The sum of the squared lengths of the tangent vectors that `residual` holds, in
@@ -56,7 +56,6 @@ class Eells(AbstractEnergy):
     Blind to displacements of Psi normal to N."""
 
     name = "eells"
-    place = "quadrature"
     orders = (0, 1, 2)
     order = 2
     gauge = 0.1  # holds Psi near N, costs 1e-4 of E
@@ -75,16 +74,12 @@ class Eells(AbstractEnergy):
     def penalised(self):
         return PenalisedEells()
 
-    def of_coordinate(self):
-        return self
-
 
 class PenalisedEells(AbstractEnergy):
     r"""$|P(\pi(\Psi)) H|^2$: the Eells density of the paper's (2), (5) for maps near N.
     The projector is that of the closest point, in any codimension."""
 
     name = "eells"
-    place = "quadrature"
     orders = (0, 2)
     order = 2
     gauge = 0.1
@@ -95,19 +90,12 @@ class PenalisedEells(AbstractEnergy):
     def residual(self, near: AbstractManifold, jet: Jet, args):
         return _bending(near, jet)
 
-    def penalised(self):
-        return self
-
-    def of_coordinate(self):
-        return self
-
 
 class AmbientEells(AbstractEnergy):
     """The same of a map of the whole neighbourhood of the source, which does not stay on N
     off it: in all directions of space, not of the projection, in one stage."""
 
     name = "eells"
-    place = "quadrature"
     orders = (0, 2)
     order = 2
     gauge = 10.0
@@ -117,12 +105,6 @@ class AmbientEells(AbstractEnergy):
 
     def residual(self, near: AbstractManifold, jet: Jet, args):
         return _bending(near, jet)
-
-    def penalised(self):
-        return self
-
-    def of_coordinate(self):
-        return self
 
 
 class Tension(AbstractEnergy):
@@ -135,7 +117,6 @@ class Tension(AbstractEnergy):
     data: Float[Array, "k s"]
     """Whose spacing around each point is h."""
     name = "eells"
-    place = "quadrature"
     orders = (0, 1, 2)
     order = 2
     gauge = 10.0
@@ -151,9 +132,6 @@ class Tension(AbstractEnergy):
         strength = jnp.sqrt(self.tau) * args
         stretching = strength * _to_tangent(near, jet.value, stretching)
         return jnp.concatenate([_bending(near, jet), stretching])
-
-    def penalised(self):
-        return self
 
     def of_coordinate(self):
         return Tension(self.tau, self.derivative[:, :1], self.data)

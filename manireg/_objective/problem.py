@@ -22,8 +22,8 @@ from .._discretisation.local_polynomials import LocalPolynomials, local_polynomi
 from .._discretisation.sampling import sample
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
+from .._source import AbstractSource
 from .._sources.checks import check_data, check_dimension, check_tension
-from .._sources.sources import Source, sampled, sampled_dim
 from ..manifolds import AbstractManifold
 from .energies import AbstractEnergy, AmbientEells, Eells, Tension, affine_derivative
 from .terms import AbstractTerm
@@ -36,7 +36,7 @@ class Problem(eqx.Module):
     or other folds with the same compiled program.
     """
 
-    source: Source
+    source: AbstractSource
     target: AbstractManifold
     basis: LocalPolynomials
     energy_jets: Jets
@@ -87,7 +87,7 @@ def psi_at_data(problem: Problem, w: Float[Array, "KC t"]) -> Float[Array, "k t"
 
 
 def make_problem(
-    source: Source,
+    source: AbstractSource,
     target: AbstractManifold,
     x: Numbers,
     y: Numbers,
@@ -159,7 +159,7 @@ def make_problem(
     check_dimension(source)
     check_tension(tension, source)
     x, y, weights = check_data(source, target, x, y, weights)
-    m = sampled_dim(source)
+    m = source.sampled.dim
     if energy is None:
         energy = _default_energy(source, tension, x, y, weights)
     _check_terms(energy, terms)
@@ -196,8 +196,10 @@ def with_tension(problem: Problem, tension: float) -> Problem:
     return eqx.tree_at(where, problem, (energy, arguments))
 
 
-def _default_energy(source: Source, tension: float, x, y, weights) -> AbstractEnergy:
-    if sampled(source) is source:
+def _default_energy(
+    source: AbstractSource, tension: float, x, y, weights
+) -> AbstractEnergy:
+    if source.sampled is source:
         return Eells()
     if tension == 0:
         return AmbientEells()

@@ -8,7 +8,6 @@ from scipy.spatial import KDTree
 
 from .._discretisation.local_spacing import spacings_of
 from .._sources.checks import is_concrete
-from .._sources.sources import sampled_dim
 from .problem import Problem
 
 SHORTEST = 2.0  # wavelength that a basis resolves, in its spacings
@@ -31,7 +30,7 @@ def warn_where_coarse(problem: Problem, lam: ScalarLike) -> None:
     shorter than two spacings of the centres. Silent for traced problems or lambdas."""
     if not is_concrete(lam, problem.x, problem.basis.centres):
         return
-    m = sampled_dim(problem.source)
+    m = problem.source.sampled.dim
     data = np.unique(np.asarray(problem.x), axis=0)
     wanted, spacing = _wanted_spacings(problem, data, float(np.asarray(lam)), m)
     coarse = spacing > wanted

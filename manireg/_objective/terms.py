@@ -46,7 +46,8 @@ class AbstractTerm(eqx.Module):
                 return jax.vmap(self.f)(x)
 
             def residual(self, near, jet, f):
-                return near.project(jet.value) - f
+                p = jet.value.reshape(near.point_shape)  # jets are flattened
+                return near.project(p) - f
 
         mr.make_problem(..., terms=(Attraction(f),))
     """

@@ -5,7 +5,6 @@ twice the order of the energy)."""
 import jax.numpy as jnp
 import numpy as np
 
-from .._sources.sources import sampled_dim
 from .problem import Problem
 
 ANCHOR = 1.5  # wavelength, in spacings of the data, under which maps follow them
@@ -14,7 +13,7 @@ ANCHOR = 1.5  # wavelength, in spacings of the data, under which maps follow the
 def mean_spacing(problem: Problem):
     """Of the data that have a weight, in the volume that they fill."""
     k = jnp.sum(problem.weights > 0)
-    return (problem.data_volume / k) ** (1 / sampled_dim(problem.source))
+    return (problem.data_volume / k) ** (1 / problem.source.sampled.dim)
 
 
 def lambda_of_wavelength(problem: Problem, wavelength):

@@ -6,8 +6,8 @@ from jaxtyping import PRNGKeyArray
 from .._input.numbers import Numbers
 from .._objective.problem import Problem
 from .._objective.wavelengths import anchor
+from .._source import AbstractSource
 from .._sources.checks import check_lams
-from .._sources.sources import Source
 from ..manifolds import AbstractManifold
 from .choice import CrossValidation, choose
 from .folds import training_sets
@@ -18,7 +18,7 @@ from .scores import KFold
 
 
 def cross_validate(
-    source: Source | Problem,
+    source: AbstractSource | Problem,
     target: AbstractManifold | Numbers | None = None,
     x: Numbers | None = None,
     y: Numbers | None = None,

@@ -7,13 +7,13 @@ from .._objective.problem import make_problem
 from .._solver.geodesic_loss import solve_geodesic
 from .._solver.model import RegressionMap
 from .._solver.solve import solve
-from .._sources.sources import Source
+from .._source import AbstractSource
 from ..manifolds import AbstractManifold
 from .cross_validate import cross_validate
 
 
 def fit(
-    source: Source,
+    source: AbstractSource,
     target: AbstractManifold,
     x: Numbers,
     y: Numbers,

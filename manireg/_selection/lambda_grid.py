@@ -7,7 +7,6 @@ from jaxtyping import Array, Float
 from .._input.precision import check_x64
 from .._objective.problem import Problem
 from .._objective.wavelengths import lambda_of_wavelength, mean_spacing
-from .._sources.sources import sampled_dim
 
 GRID = 20  # values of a default grid
 LONGEST = 2.7  # wavelength at the top of a short one, in spacings of the data
@@ -26,11 +25,11 @@ def lambda_grid(problem: Problem, n: int | None = None) -> Float[Array, " n"]:
     the scale of the target. Below the spacing the data say nothing.
     """
     check_x64(problem)
-    size = problem.volume ** (1 / sampled_dim(problem.source))
+    size = problem.volume ** (1 / problem.source.sampled.dim)
     low = jnp.log(lambda_of_wavelength(problem, mean_spacing(problem)))
     high = jnp.log(lambda_of_wavelength(problem, 2 * size))
     if n is None:
-        even = 4 * (np.log(2) + np.log(len(problem.y)) / sampled_dim(problem.source))
+        even = 4 * (np.log(2) + np.log(len(problem.y)) / problem.source.sampled.dim)
         n = 1 + round((GRID - 1) * max(1.0, float(high - low) / even))
     return jnp.exp(jnp.linspace(low, high, n))
 

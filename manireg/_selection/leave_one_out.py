@@ -6,8 +6,8 @@ import numpy as np
 from .._input.numbers import Numbers
 from .._objective.problem import Problem
 from .._objective.resolution import warn_where_coarse
+from .._source import AbstractSource
 from .._sources.checks import check_lams
-from .._sources.sources import Source
 from ..manifolds import AbstractManifold
 from .choice import CrossValidation, choose
 from .given import problem_and_lams
@@ -17,7 +17,7 @@ from .scores import LeaveOneOut
 
 
 def leave_one_out(
-    source: Source | Problem,
+    source: AbstractSource | Problem,
     target: AbstractManifold | Numbers | None = None,
     x: Numbers | None = None,
     y: Numbers | None = None,

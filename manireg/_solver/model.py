@@ -20,15 +20,15 @@ from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._objective.objective import Energies
 from .._objective.problem import Problem
+from .._source import AbstractSource
 from .._sources.checks import check_inputs, is_concrete, projected
-from .._sources.sources import Source
 from ..manifolds import AbstractManifold
 
 
 class RegressionMap(eqx.Module):
     """A fitted map from `source` to `target`: call it on new points."""
 
-    source: Source
+    source: AbstractSource
     target: AbstractManifold
     basis: LocalPolynomials
     origin: Float[Array, " t"]

@@ -9,14 +9,14 @@ from jaxtyping import Array
 
 from .._input.numbers import Numbers, as_numbers, numbers_and_unit
 from .._input.shown import shown
+from .._source import AbstractSource
 from ..manifolds import AbstractManifold, PointCloud
 from ..manifolds._membership import is_concrete as is_concrete, projected as projected
-from .sources import Source
 
 LARGEST_DIM = 3  # of a source: derivatives of order p control values where 2p > m
 
 
-def check_points(name: str, space: Source, points, count=None):
+def check_points(name: str, space: AbstractSource, points, count=None):
     """`points` as a float64 array `(n, t)` of ambient coordinates of points of `space`."""
     return _checked(name, space, *_numbers_of(name, space, points), count)
 
@@ -41,7 +41,7 @@ def _checked(name, space, points: np.ndarray, unit: str, count=None) -> np.ndarr
     return np.asarray(space.to_ambient(points))
 
 
-def check_inputs(source: Source, x) -> tuple[Array, bool]:
+def check_inputs(source: AbstractSource, x) -> tuple[Array, bool]:
     """Ambient coordinates `(n, s)` of new inputs of a fitted model, and whether they are a
     single point. What can be told of traced ones at run time is: NaN, and where the source
     has ends."""
@@ -63,7 +63,7 @@ def check_inputs(source: Source, x) -> tuple[Array, bool]:
     return source.to_ambient(eqx.error_if(x, bad, message)), single
 
 
-def check_data(source: Source, target: AbstractManifold, x, y, weights):
+def check_data(source: AbstractSource, target: AbstractManifold, x, y, weights):
     """Ambient coordinates of `x (k, s)` and of `y (k, t)` projected onto the target,
     `weights (k,)`."""
     if not isinstance(target, AbstractManifold):
@@ -88,15 +88,15 @@ def check_data(source: Source, target: AbstractManifold, x, y, weights):
     return jnp.asarray(x), y.reshape(len(x), -1), jnp.asarray(weights)
 
 
-def check_source(source: Source):
-    if not isinstance(source, Source):
+def check_source(source: AbstractSource):
+    if not isinstance(source, AbstractSource):
         raise ValueError(
             "source: expected an Interval, a Circle, a Box, an Ambient, a manifold or "
             f"another AbstractSource, found {type(source).__name__}."
         )
 
 
-def check_dimension(source: Source):
+def check_dimension(source: AbstractSource):
     check_source(source)
     m = source.sampled.dim
     if m > LARGEST_DIM:
@@ -124,7 +124,7 @@ def check_landmarks(
     return landed
 
 
-def check_tension(tension: float, source: Source):
+def check_tension(tension: float, source: AbstractSource):
     if not (np.isfinite(tension) and tension >= 0):
         raise ValueError(f"tension: must be finite and at least 0, found {tension}.")
     if tension and source.sampled is source:

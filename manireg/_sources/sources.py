@@ -10,11 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from .._input.numbers import Numbers, numbers_and_unit
-from .._input.shown import listed as listed
+from .._input.shown import listed
 from .._source import AbstractSource, Chart
 from ..manifolds import AbstractManifold
-
-Source = AbstractSource
 
 
 class AbstractBounded(AbstractSource):
@@ -140,15 +138,6 @@ class Ambient(AbstractSource):
 
     def check_points(self, name: str, x: np.ndarray, unit: str = "") -> None:
         self.manifold.check_points(name, x, unit)
-
-
-def sampled(source: Source) -> AbstractSource:
-    """What is integrated over."""
-    return source.sampled
-
-
-def sampled_dim(source: Source) -> int:
-    return source.sampled.dim
 
 
 def _bounds(values: Numbers) -> tuple[float, ...]:

@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
+from .._source import AbstractSource
 from .._sources.checks import check_data, check_source
-from .._sources.sources import Source
 from ..manifolds import AbstractManifold
 from ._inputs import only_for, predicted
 
@@ -20,7 +20,7 @@ MAX_STEPS = 500
 class GeodesicRegression(eqx.Module):
     r"""$x \mapsto \exp_p(\sum_a (x_a - c_a) V_a)$."""
 
-    source: Source
+    source: AbstractSource
     target: AbstractManifold
     centre: Float[Array, " m"]
     """c, the (weighted) mean input."""
@@ -43,7 +43,7 @@ class GeodesicRegression(eqx.Module):
 
 
 def geodesic_regression(
-    source: Source,
+    source: AbstractSource,
     target: AbstractManifold,
     x: Numbers,
     y: Numbers,

@@ -6,14 +6,14 @@ from jaxtyping import Array, Float
 
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
+from .._source import AbstractSource
 from .._sources.checks import check_inputs
-from .._sources.sources import Source
 from ..manifolds import AbstractManifold
 
 
 def predicted(
     model,
-    source: Source,
+    source: AbstractSource,
     target: AbstractManifold,
     x: Numbers,
     values: Callable[[Float[Array, "n s"]], Float[Array, "..."]],
@@ -26,7 +26,7 @@ def predicted(
     return points[0] if single else points
 
 
-def only_for(method: str, sources: str, source: Source) -> ValueError:
+def only_for(method: str, sources: str, source: AbstractSource) -> ValueError:
     return ValueError(
         f"source: {method} is defined for {sources}, found {type(source).__name__}; "
         "manireg.fit takes any source."

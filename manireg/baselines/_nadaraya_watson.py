@@ -11,8 +11,8 @@ from .._input.precision import check_x64
 from .._selection.choice import evaluated
 from .._selection.folds import held_out_error, training_sets
 from .._selection.lambda_grid import GRID
+from .._source import AbstractSource
 from .._sources.checks import check_data, check_grid, check_positive
-from .._sources.sources import Source
 from ..manifolds import AbstractManifold
 from ._frechet import frechet_mean
 from ._inputs import check_choice, predicted
@@ -30,7 +30,7 @@ ROUGH = {"starts": 1, "rtol": 1e-4, "max_steps": 30}
 class NadarayaWatson(eqx.Module):
     """Weighted Frechet means of the data, weighted by nearness to the input."""
 
-    source: Source
+    source: AbstractSource
     target: AbstractManifold
     x: Float[Array, "k s"]
     y: Float[Array, "k t"]
@@ -53,7 +53,7 @@ class NadarayaWatson(eqx.Module):
 
 
 def nadaraya_watson(
-    source: Source,
+    source: AbstractSource,
     target: AbstractManifold,
     x: Numbers,
     y: Numbers,
@@ -100,7 +100,9 @@ def nadaraya_watson(
     return build(grid[best], grid, scores)
 
 
-def _bandwidth_grid(source: Source, x: Float[Array, "k s"]) -> Float[Array, " grid"]:
+def _bandwidth_grid(
+    source: AbstractSource, x: Float[Array, "k s"]
+) -> Float[Array, " grid"]:
     distances = np.sqrt(np.asarray(source.squared_distances(x, x)))
     apart = np.where(distances > 1e-9 * distances.max(), distances, np.inf)
     return jnp.geomspace(

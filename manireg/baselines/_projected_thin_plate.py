@@ -14,8 +14,8 @@ from .._selection.lambda_grid import lambda_grid
 from .._solver.linear import DirectSolvers, direct_solvers
 from .._solver.model import evaluate
 from .._solver.starts import free_solution
+from .._source import AbstractSource
 from .._sources.checks import check_lam, check_lams
-from .._sources.sources import Source
 from ..manifolds import AbstractManifold
 from ._inputs import check_choice, predicted
 
@@ -23,7 +23,7 @@ from ._inputs import check_choice, predicted
 class ProjectedThinPlate(eqx.Module):
     """A thin-plate spline in the ambient space, projected onto the target on call."""
 
-    source: Source
+    source: AbstractSource
     target: AbstractManifold
     basis: LocalPolynomials
     origin: Float[Array, " t"]
@@ -51,7 +51,7 @@ class ProjectedThinPlate(eqx.Module):
 
 
 def projected_thin_plate(
-    source: Source,
+    source: AbstractSource,
     target: AbstractManifold,
     x: Numbers,
     y: Numbers,

@@ -499,6 +499,10 @@ def test_random_points_of_the_torus_are_uniform(key):
     [
         (lambda: Torus(1.0, 2.0), "smaller than `R`"),
         (lambda: Cylinder(-1.0), "`radius` must be positive"),
+        (lambda: Cylinder(jnp.array(-1.0)), "`radius` must be positive"),
+        (lambda: Sphere(2, jnp.array(0.0)), "`radius` must be positive"),
+        (lambda: Torus(jnp.array(1.0), jnp.array(2.0)), "`r` must be positive"),
+        (lambda: FlatTorus(2, jnp.array([1.0, -1.0])), "`radii` must be positive"),
         (lambda: FlatTorus(0), "`dim` must be at least 1"),
         (lambda: FlatTorus(2, jnp.ones(3)), "`radii` must be a scalar or of shape"),
         (lambda: FlatTorus(2, -1.0), "`radii` must be positive"),
