@@ -6,6 +6,7 @@ They add `ridge` times the diagonal. It moves only directions the objective hard
 minimiser stays where it is.
 """
 
+import abc
 from collections.abc import Callable
 from typing import Any
 
@@ -15,8 +16,8 @@ import lineax as lx
 import sparsax
 from jaxtyping import Array, Float
 
-from .banded import solve_banded
-from .sparse import SparseSymmetric
+from .banded import inverse_in_band, solve_banded
+from .sparse import SparseSymmetric, SparsityPattern
 
 RIDGES = (1e-14, 1e-12, 1e-10)  # times the diagonal, tried in turn
 LEAST = 1e-14  # times the largest number on the diagonal: what is less is zero
@@ -35,7 +36,15 @@ class AbstractDirect(lx.AbstractLinearSolver):
         return True
 
 
-class SparseCholesky(AbstractDirect):
+class AbstractPositive(AbstractDirect):
+    """Of positive definite ones."""
+
+    @abc.abstractmethod
+    def selected_inverse(self, operator: SparseSymmetric) -> Float[Array, "nnz b b"]:
+        """The inverse where the operator has its blocks, stored as these are."""
+
+
+class SparseCholesky(AbstractPositive):
     """CHOLMOD; the symbolic analysis is cached per pattern. The operator has to be
     positive definite up to `ridge`: sparsax raises otherwise."""
 
@@ -54,8 +63,13 @@ class SparseCholesky(AbstractDirect):
         solution = sparsax.solve(i, j, values, _flat(scale, vector))
         return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
+    def selected_inverse(self, operator):
+        i, j, values, scale = self.init(operator, {})
+        blocks = sparsax.selinv(i, j, values, scale.size).reshape(operator.blocks.shape)
+        return _scaled(blocks, scale, operator.pattern)
 
-class BandCholesky(AbstractDirect):
+
+class BandCholesky(AbstractPositive):
     """For the neighbours on a curve. No callback. The ridge is the first of `RIDGES` that
     makes the operator positive definite to rounding; where none does, the solution is not
     a number."""
@@ -73,16 +87,24 @@ class BandCholesky(AbstractDirect):
         columns, size = state
         n, _, m, _ = columns.shape
         rhs = jnp.swapaxes(vector.reshape(n, m, -1), 1, 2)
-
-        def solve(ridge):
-            regular = columns.at[:, 0].add(ridge * size * jnp.eye(m))
-            return solve_banded(regular, rhs)
-
+        solve = lambda ridge: solve_banded(_ridged(columns, size, ridge), rhs)
         solution = jnp.swapaxes(first_finite(solve, RIDGES, rhs)[0], 1, 2)
         return solution.reshape(vector.shape), lx.RESULTS.successful, {}
 
+    def selected_inverse(self, operator: SparseSymmetric) -> Float[Array, "nnz b b"]:
+        pattern = operator.pattern
+        columns, size = self.init(operator, {})
+        inverse = lambda ridge: inverse_in_band(_ridged(columns, size, ridge))
+        found = first_finite(inverse, RIDGES, columns)[0]
+        blocks = found[pattern.rows, pattern.cols - pattern.rows]
+        return jnp.swapaxes(blocks, 1, 2)
 
-class DenseCholesky(AbstractDirect):
+
+def _ridged(columns: Float[Array, "n band m m"], size, ridge):
+    return columns.at[:, 0].add(ridge * size * jnp.eye(columns.shape[-1]))
+
+
+class DenseCholesky(AbstractPositive):
     """The same of a whole matrix."""
 
     def init(self, operator, options):
@@ -99,6 +121,13 @@ class DenseCholesky(AbstractDirect):
 
         solution = _unflat(scale, vector, first_finite(solve, RIDGES, rhs)[0])
         return solution, lx.RESULTS.successful, {}
+
+    def selected_inverse(self, operator: SparseSymmetric) -> Float[Array, "nnz b b"]:
+        K, b = operator.pattern.centres, operator.blocks.shape[-1]
+        sides = jnp.eye(K * b).reshape(*operator.in_structure().shape, K * b)
+        whole, _, _ = self.compute(self.init(operator, {}), sides, {})
+        places = operator.pattern.rows, slice(None), operator.pattern.cols
+        return whole.reshape(K, b, K, b)[places]
 
 
 def first_finite(
@@ -150,11 +179,14 @@ def _unflat(scale, vector, solution):
 
 def _regular_blocks(operator: SparseSymmetric, scale, ridge: float):
     """Of the scaled matrix, `ridge` added to its diagonal."""
-    scale = scale.reshape(operator.pattern.centres, -1)
-    rows, cols = operator.pattern.rows, operator.pattern.cols
-    blocks = operator.blocks * scale[rows][:, :, None] * scale[cols][:, None, :]
-    own = (rows == cols)[:, None, None]
+    blocks = _scaled(operator.blocks, scale, operator.pattern)
+    own = (operator.pattern.rows == operator.pattern.cols)[:, None, None]
     return blocks + ridge * own * jnp.eye(blocks.shape[-1])
+
+
+def _scaled(blocks, scale, pattern: SparsityPattern):
+    scale = scale.reshape(pattern.centres, -1)
+    return blocks * scale[pattern.rows][:, :, None] * scale[pattern.cols][:, None, :]
 
 
 def _dense(operator: lx.AbstractLinearOperator):

@@ -5,11 +5,11 @@ import functools
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._algebra.chunks import scan_chunks
 from .._algebra.sparse import SparseSymmetric, SparsityPattern
 from .._discretisation.jets import Jets
 
@@ -49,18 +49,15 @@ def _add(
     into: Int[Array, "e pairs"],
 ):
     """Add A^T local A of all points, a chunk of elements at a time."""
-    arrays = (local, matrices, into)
     e, p, J, U = matrices.shape
     t = local.shape[-1] // J
     largest = CHUNK_BYTES / (local.dtype.itemsize * t * (t + 1) / 2 * p * J * U)
-    # a power of two, like the number of elements: mostly without a rest
-    size = min(2 ** int(np.log2(max(largest, 1))), e)
-    chunks = e // size
-    first = [a[: chunks * size].reshape(chunks, size, *a.shape[1:]) for a in arrays]
-    last = [a[chunks * size :] for a in arrays]
-    add = lambda blocks, arrays: (_add_chunk(blocks, *arrays), None)
-    blocks, _ = jax.lax.scan(add, blocks, first)
-    return _add_chunk(blocks, *last) if e % size else blocks
+
+    def add(blocks, chunk, new):
+        local, matrices, into = chunk
+        return _add_chunk(blocks, local * new[:, None, None, None], matrices, into)
+
+    return scan_chunks(add, blocks, (local, matrices, into), largest)
 
 
 def _add_chunk(blocks, local, matrices, into):

@@ -14,8 +14,9 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from .._algebra.chunks import map_chunks
 from .._algebra.sparse import SparseSymmetric, SparsityPattern, declare_symmetric
 from .._discretisation.jets import jet_values
 from .assembly import PointHessians, assembled
@@ -68,27 +69,7 @@ declare_symmetric(ExactHessian)
 
 def gauss_newton(w: Float[Array, "KC t"], stage: Stage) -> SparseSymmetric:
     """The model: residuals as linear functions of w, weighed by rho'."""
-
-    def of_site(site: Site):
-        def weighted(near, jet, arguments):
-            residuals = []
-            for term, args in zip(site.terms, arguments, strict=True):
-                weight = term.factor(stage.lam, stage.gamma)
-                weight *= weight_of(term, term.square(near, jet, args))
-                r = term.residual(near, jet, args)
-                residuals.append(jnp.sqrt(weight) * r.ravel())
-            return jnp.concatenate(residuals)
-
-        def of_element(near, jets, arguments):
-            values = lambda jets: at_points(site, weighted, near, jets, arguments)
-            # a loop over the residuals: einsum makes a small product of every point's
-            columns = jnp.moveaxis(_derivatives(values, jets, site.rows), 2, 0)
-            squares = [column[:, None] * column for column in columns]
-            return 2.0 * functools.reduce(jnp.add, squares).transpose(2, 0, 1)
-
-        return of_element
-
-    return assembled(stage.problem.pattern, _families(w, stage, of_site))
+    return assembled(stage.problem.pattern, point_hessians(w, stage, exact=False))
 
 
 def exact(
@@ -96,49 +77,81 @@ def exact(
 ) -> ExactHessian:
     """May be indefinite, away from a minimum. `model`: of `gauss_newton`, at a map near
     by; iterative solvers need it."""
-
-    def of_site(site: Site):
-        def density(near, jet, arguments):
-            pairs = zip(site.terms, arguments, strict=True)
-            return sum(
-                term.factor(stage.lam, stage.gamma) * term.density(near, jet, args)
-                for term, args in pairs
-            )
-
-        def of_element(near, jets, arguments):
-            whole = lambda j: jnp.sum(at_points(site, density, near, j, arguments))
-            gradient = lambda j: jax.grad(whole)(j)[:, site.rows]
-            columns = _derivatives(gradient, jets, site.rows)
-            return jnp.moveaxis(columns.reshape(*columns.shape[:2], -1), 0, 1)
-
-        return of_element
-
-    families = _families(w, stage, of_site)
+    families = point_hessians(w, stage, exact=True)
     if model is not None:
         # a pattern carried through a loop would be batched under vmap
         model = SparseSymmetric(model.blocks, stage.problem.pattern)
     return ExactHessian(families, stage.problem.pattern, model)
 
 
-def _families(
-    w: Float[Array, "KC t"], stage: Stage, of_site: Callable
+def point_hessians(
+    w: Float[Array, "KC t"], stage: Stage, exact: bool | Bool[Array, ""]
 ) -> tuple[PointHessians, ...]:
-    families = []
-    for site in sites(stage):
-        jets = psi_jets(stage.problem, site.jets, w)
-        local = _each_element(of_site(site), site.near, jets, site.arguments)
-        local = local * site.weights[:, :, None, None]
-        rows = tuple(site.rows.tolist())
-        families.append(PointHessians(local, site.jets, site.places, rows))
-    return tuple(families)
+    """Of both sites; of the model or, where that is traced, of either."""
+    both = sites(stage)
+    jets = [psi_jets(stage.problem, site.jets, w) for site in both]
+
+    def by(of_element: Callable) -> list[Float[Array, "e p Jt Jt"]]:
+        """At all points of both."""
+        return [
+            _each_element(of_element(site, stage), site.near, j, site.arguments)
+            * site.weights[:, :, None, None]
+            for site, j in zip(both, jets)
+        ]
+
+    if isinstance(exact, bool):
+        local = by(_second_derivatives if exact else _squared_jacobians)
+    else:
+        kinds = _second_derivatives, _squared_jacobians
+        local = jax.lax.cond(exact, *(lambda kind=kind: by(kind) for kind in kinds))
+    return tuple(
+        PointHessians(at, site.jets, site.places, tuple(site.rows.tolist()))
+        for site, at in zip(both, local)
+    )
+
+
+def _squared_jacobians(site: Site, stage: Stage) -> Callable:
+    def weighted(near, jet, arguments):
+        residuals = []
+        for term, args in zip(site.terms, arguments, strict=True):
+            weight = term.factor(stage.lam, stage.gamma)
+            weight *= weight_of(term, term.square(near, jet, args))
+            r = term.residual(near, jet, args)
+            residuals.append(jnp.sqrt(weight) * r.ravel())
+        return jnp.concatenate(residuals)
+
+    def of_element(near, jets, arguments):
+        values = lambda jets: at_points(site, weighted, near, jets, arguments)
+        # a loop over the residuals: einsum makes a small product of every point's
+        columns = jnp.moveaxis(_derivatives(values, jets, site.rows), 2, 0)
+        squares = [column[:, None] * column for column in columns]
+        return 2.0 * functools.reduce(jnp.add, squares).transpose(2, 0, 1)
+
+    return of_element
+
+
+def _second_derivatives(site: Site, stage: Stage) -> Callable:
+    def density(near, jet, arguments):
+        pairs = zip(site.terms, arguments, strict=True)
+        return sum(
+            term.factor(stage.lam, stage.gamma) * term.density(near, jet, args)
+            for term, args in pairs
+        )
+
+    def of_element(near, jets, arguments):
+        whole = lambda j: jnp.sum(at_points(site, density, near, j, arguments))
+        gradient = lambda j: jax.grad(whole)(j)[:, site.rows]
+        columns = _derivatives(gradient, jets, site.rows)
+        return jnp.moveaxis(columns.reshape(*columns.shape[:2], -1), 0, 1)
+
+    return of_element
 
 
 def _each_element(f, near, jets: Float[Array, "e p J t"], arguments):
     """`f` of every element, so many at a time that what it passes through stays in the
     cache (measured: all at once takes three to four times as long)."""
     e, p = jets.shape[:2]
-    size = min(2 ** int(np.log2(max(CHUNK_POINTS / p, 1))), e)
-    return jax.lax.map(lambda a: f(*a), (near, jets, arguments), batch_size=size)
+    return map_chunks(lambda a: f(*a), (near, jets, arguments), CHUNK_POINTS / p)
 
 
 def _derivatives(f, jets: Float[Array, "p J t"], rows) -> Float[Array, "jt p ..."]:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from .._objective.objective import objective
 from .._objective.problem import Problem, psi_at_data
 from .._solver.leverages import left_out_errors
-from .._solver.linear import DirectSolvers, direct_solvers
+from .._solver.linear import AbstractSolvers, direct_solvers
 from .._solver.minimise import gauge, minimise, newton_minimiser, stage_of
 from .._solver.model import RegressionMap, regression_map
 from .._solver.solve import solve
@@ -63,7 +63,7 @@ class AbstractScore(eqx.Module):
         """The map of all data at `lam`."""
 
 
-def _solvers(score: "KFold | LeaveOneOut") -> DirectSolvers:
+def _solvers(score: "KFold | LeaveOneOut") -> AbstractSolvers:
     return direct_solvers(score.linear_algebra, score.problem.basis.dim)
 
 
@@ -113,11 +113,11 @@ def _advance(lane, shared):
     """On to the next lambda: the place, its score on the data not `inside`, and whether
     Newton converged."""
     (inside, place), (lam, problem, solvers, max_steps) = lane, shared
-    newton = newton_minimiser(solvers, COARSE)
+    newton = newton_minimiser(solvers, COARSE, max_steps)
     gap = jnp.log(lam) - place.log_lam
     start = place.w + gap * place.slope
     fold = _fold(problem, inside)
-    found = minimise(fold, lam, start, "projected", newton, max_steps)
+    found = minimise(fold, lam, start, "projected", newton)
     converged = found.result == optx.RESULTS.successful
     # a fit that ends in no numbers is no start for the next
     w = jnp.where(jnp.all(jnp.isfinite(found.w)), found.w, place.w)
@@ -187,12 +187,13 @@ def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
 
 
 @eqx.filter_jit
-def _fit_and_score(problem: Problem, lam, w, solvers: DirectSolvers, max_steps: int):
-    newton = newton_minimiser(solvers, RTOL)
-    found = minimise(problem, lam, w, "projected", newton, max_steps)
+def _fit_and_score(problem: Problem, lam, w, solvers: AbstractSolvers, max_steps: int):
+    newton = newton_minimiser(solvers, RTOL, max_steps, keep_model=True)
+    found = minimise(problem, lam, w, "projected", newton)
     stage = stage_of(problem, lam, found.gamma, "projected", found.w)
-    _, energies = objective(found.w, stage)
-    model = regression_map(problem, found.w, lam, energies, found.result, found.stats)
-    errors = left_out_errors(found.w, stage, solvers)
+    model = regression_map(
+        problem, found.w, lam, found.energies, found.result, found.stats
+    )
+    errors = left_out_errors(found.w, stage, found.model, solvers)
     mean = jnp.sum(problem.weights) / jnp.sum(problem.weights > 0)
     return model, errors * problem.weights / mean

@@ -1,20 +1,29 @@
 """The solvers a Newton solve needs: for its positive definite model, and for the exact
 Hessian, which may be indefinite."""
 
+import abc
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
+from jaxtyping import Array, Bool, Float
 
 from .._algebra.cholesky import (
     AbstractDirect,
+    AbstractPositive,
     BandCholesky,
     DenseCholesky,
     SparseCholesky,
     first_finite,
 )
+from .._algebra.sparse import SparseSymmetric
+from .._objective.assembly import assembled
+from .._objective.hessian import exact as exact_hessian
+from .._objective.hessian import gauss_newton, point_hessians
+from .._objective.sites import Stage
+from .newton import Direction
 
 FLAT = 1e-8  # curvature, in units of the model's, that is rounding
 SHIFTS = (0.0, 0.1, 1.0, 10.0)  # times the model, by `LeastShift`
@@ -82,11 +91,11 @@ class LeastShift(AbstractDirect):
         return operator.assembled(), operator.model
 
     def compute(self, state, vector, options):
-        exact, model = state
+        hessian, model = state
 
         def solve(shift):
-            blocks = exact.blocks + shift * model.blocks
-            operator = eqx.tree_at(lambda o: o.blocks, exact, blocks)
+            blocks = hessian.blocks + shift * model.blocks
+            operator = eqx.tree_at(lambda o: o.blocks, hessian, blocks)
             factor = self.positive.init(operator, options)
             return self.positive.compute(factor, vector, options)[0]
 
@@ -95,32 +104,83 @@ class LeastShift(AbstractDirect):
         return x, lx.RESULTS.where(tries == 1, successful, singular), {}
 
 
-class DirectSolvers(eqx.Module):
+class AbstractSolvers(eqx.Module):
     """What a Newton solve needs."""
 
-    positive: lx.AbstractLinearSolver
-    """For the Gauss-Newton model."""
-    indefinite: lx.AbstractLinearSolver
-    """For the exact Hessian."""
-    at_minimum: lx.AbstractLinearSolver
-    """The same where it has to be positive definite: else not a number."""
+    positive: eqx.AbstractVar[AbstractPositive]
+    """For positive definite operators, such as the Gauss-Newton model."""
+
+    @property
+    @abc.abstractmethod
+    def at_minimum(self) -> lx.AbstractLinearSolver:
+        """For the exact Hessian where it has to be positive definite: else not a
+        number."""
+
+    @abc.abstractmethod
+    def direction(
+        self,
+        exact: Bool[Array, ""],
+        w: Float[Array, "KC t"],
+        stage: Stage,
+        gradient: Float[Array, "KC t"],
+        model: SparseSymmetric | None,
+    ) -> Direction:
+        """Newton's, by the exact Hessian or a new model; `model`: the last one."""
 
 
-def direct_solvers(kind: str = "auto", dim: int = 2) -> DirectSolvers:
+class Shifting(AbstractSolvers):
+    """Both Hessians assembled by the same lines; the exact one shifted where it is
+    indefinite."""
+
+    positive: BandCholesky | DenseCholesky
+
+    @property
+    def at_minimum(self) -> LeastShift:
+        return LeastShift(self.positive, (0.0,))
+
+    def direction(self, exact, w, stage, gradient, model):
+        pattern = stage.problem.pattern
+        hessian = assembled(pattern, point_hessians(w, stage, exact))
+        before = hessian if model is None else model
+        blocks = jnp.where(exact, before.blocks, hessian.blocks)
+        solver, model = LeastShift(self.positive), SparseSymmetric(blocks, pattern)
+        x, result, _ = solver.compute((hessian, model), gradient, {})
+        return Direction(-x, result == lx.RESULTS.successful, model)
+
+
+class Preconditioned(AbstractSolvers):
+    """A factor of the model, and conjugate gradients for the exact Hessian."""
+
+    positive: SparseCholesky
+
+    @property
+    def at_minimum(self) -> ModelCG:
+        return ModelCG(self.positive)
+
+    def direction(self, exact, w, stage, gradient, model):
+        def solved(solver, operator, model):
+            x, result, _ = solver.compute(solver.init(operator, {}), gradient, {})
+            return Direction(-x, result == lx.RESULTS.successful, model)
+
+        def by_model():
+            operator = gauss_newton(w, stage)
+            return solved(self.positive, operator, operator)
+
+        def by_exact():
+            return solved(self.at_minimum, exact_hessian(w, stage, model), model)
+
+        return by_model() if model is None else jax.lax.cond(exact, by_exact, by_model)
+
+
+def direct_solvers(kind: str = "auto", dim: int = 2) -> AbstractSolvers:
     """`"sparse"`, `"dense"`, or `"auto"`: sparse on the CPU, dense elsewhere.
     `dim`: of the source."""
     if kind == "auto":
         kind = "sparse" if jax.default_backend() == "cpu" else "dense"
     if kind == "sparse":
-        if dim == 1:
-            return _shifting(BandCholesky())
-        return DirectSolvers(SparseCholesky(), ModelCG(), ModelCG())
+        return Shifting(BandCholesky()) if dim == 1 else Preconditioned(SparseCholesky())
     if kind == "dense":
-        return _shifting(DenseCholesky())
+        return Shifting(DenseCholesky())
     raise ValueError(
         f"linear_algebra: expected 'auto', 'sparse' or 'dense', found {kind!r}."
     )
-
-
-def _shifting(positive: BandCholesky | DenseCholesky) -> DirectSolvers:
-    return DirectSolvers(positive, LeastShift(positive), LeastShift(positive, (0.0,)))

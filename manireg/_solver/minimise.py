@@ -9,12 +9,11 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, ScalarLike
 
-from .._objective.hessian import exact, gauss_newton
 from .._objective.patches import moved, patches_near
 from .._objective.problem import Problem
 from .._objective.sites import Stage
-from .linear import DirectSolvers
-from .minimum import Minimum, newton_solve
+from .linear import AbstractSolvers
+from .minimum import Minimum, newton_solve, nothing
 from .newton import Newton, add_counts
 from .penalty_path import penalty_path
 
@@ -28,16 +27,20 @@ Method = Literal["projected", "penalty"]
 
 
 def newton_minimiser(
-    solvers: DirectSolvers, rtol: ScalarLike, certify: ScalarLike = False
+    solvers: AbstractSolvers,
+    rtol: ScalarLike,
+    max_steps: ScalarLike,
+    *,
+    certify: ScalarLike = False,
+    keep_model: ScalarLike = False,
 ) -> Newton:
     return Newton(
         rtol=rtol,
         atol=0.0,
-        model_hessian=gauss_newton,
-        exact_hessian=exact,
+        direction=solvers.direction,
         certify=certify,
-        model_descent=optx.NewtonDescent(linear_solver=solvers.positive),
-        exact_descent=optx.NewtonDescent(linear_solver=solvers.indefinite),
+        keep_model=keep_model,
+        max_trials=max_steps,
     )
 
 
@@ -59,7 +62,6 @@ def minimise(
     w0: Float[Array, "KC t"],
     method: Method,
     newton: Newton,
-    max_steps: int,
 ) -> Minimum:
     noise = ROUNDING * jnp.finfo(w0.dtype).eps * _residual_terms(problem, lam, w0)
     newton = eqx.tree_at(
@@ -68,14 +70,14 @@ def minimise(
     stage = stage_of(problem, lam, gauge(problem), method, w0)
     if stage.patches is None:
         if method == "penalty":
-            return penalty_path(problem, lam, w0, newton, max_steps)
-        return newton_solve(newton, stage, w0, max_steps)
+            return penalty_path(problem, lam, w0, newton)
+        return newton_solve(newton, stage, w0)
     if method == "penalty":
         raise ValueError("method: 'penalty' is for analytic targets; leave it out.")
     # the patches are wrong by more than this, and exact Hessians dear
     coarse = (jnp.maximum(newton.rtol, PATCH_RTOL), 0.0, False)
     newton = eqx.tree_at(lambda n: (n.rtol, n.near, n.certify), newton, coarse)
-    return _rounds(newton, stage, w0, max_steps)
+    return _rounds(newton, stage, w0)
 
 
 def _residual_terms(problem: Problem, lam, w: Float[Array, "KC t"]):
@@ -84,37 +86,40 @@ def _residual_terms(problem: Problem, lam, w: Float[Array, "KC t"]):
     second = problem.energy_jets.matrices[:, :, 1 + problem.basis.dim :]
     sums = jnp.sum(jnp.sum(jnp.abs(second), axis=-1) ** 2, axis=-1)
     energy = lam * jnp.sum(problem.energy_weights * sums) * jnp.max(w**2)
-    return jnp.sqrt(jnp.mean(jnp.sum(problem.y**2, axis=1)) + energy)
+    share = problem.weights / jnp.sum(problem.weights)
+    return jnp.sqrt(jnp.sum(share * jnp.sum(problem.y**2, axis=1)) + energy)
 
 
-def _rounds(newton: Newton, stage: Stage, w0, max_steps: int) -> Minimum:
+def _rounds(newton: Newton, stage: Stage, w0) -> Minimum:
     """Newton solves with the patches renewed in between, until hardly any change, of
-    `max_steps` trial steps in all."""
-    steps = min(ROUND_STEPS, max_steps)
+    `newton.max_trials` trial steps in all."""
+    max_steps = newton.max_trials
+    steps = jnp.minimum(ROUND_STEPS, max_steps)
+    newton = eqx.tree_at(lambda n: n.max_trials, newton, steps)
 
-    def solve_round(rounds, w, patches):
+    def solve_round(w, patches):
         here = eqx.tree_at(lambda s: s.patches, stage, patches)
-        found = newton_solve(newton, here, w, steps)
-        renewed = patches_near(stage.problem, found.w, patches, rounds)
-        assert renewed is not None
-        share = moved(patches, renewed)
-        done = (found.result == optx.RESULTS.successful) & (share <= SETTLED)
-        unsettled = optx.RESULTS.nonlinear_max_steps_reached
-        result = optx.RESULTS.where(done, optx.RESULTS.successful, unsettled)
-        return found._replace(result=result), renewed
+        return newton_solve(newton, here, w)
 
     def unfinished(carry):
         rounds, found, _ = carry
         allowed = (rounds < ROUNDS) & (found.stats["num_trials"] + steps <= max_steps)
-        return allowed & (found.result != optx.RESULTS.successful)
+        unsettled = found.result != optx.RESULTS.successful
+        return (rounds == 0) | (allowed & unsettled)
 
     def next_round(carry):
         rounds, before, patches = carry
-        found, patches = solve_round(rounds + 1, before.w, patches)
+        found = solve_round(before.w, patches)
+        renewed = patches_near(stage.problem, found.w, patches, rounds + 1)
+        assert renewed is not None
+        done = found.result == optx.RESULTS.successful
+        done &= moved(patches, renewed) <= SETTLED
+        unsettled = optx.RESULTS.nonlinear_max_steps_reached
+        result = optx.RESULTS.where(done, optx.RESULTS.successful, unsettled)
         stats = add_counts(found.stats, before.stats)
-        return rounds + 1, found._replace(stats=stats), patches
+        return rounds + 1, found._replace(result=result, stats=stats), renewed
 
-    first = solve_round(1, w0, stage.patches)
-    carry = jax.tree.map(jnp.asarray, (1, *first))
+    start = nothing(solve_round, w0, stage.patches)._replace(w=w0)
+    carry = jnp.array(0), start, stage.patches
     rounds, found, _ = jax.lax.while_loop(unfinished, next_round, carry)
     return found._replace(stats={**found.stats, "num_rounds": rounds})

@@ -8,7 +8,7 @@ from .._objective.energies import Eells
 from .._objective.objective import objective
 from .._objective.problem import Problem
 from .._objective.sites import Stage
-from .minimum import Minimum, newton_solve
+from .minimum import Minimum, newton_solve, nothing
 from .newton import Newton, add_counts
 
 MARGIN = 50.0  # gamma_0 in units of (L + lambda S) / (vol(M) reach^2): smaller ones let
@@ -18,7 +18,7 @@ STAGES = 8
 TOLERANCE = 1e-4  # of the reach: largest distance to N at which the path stops
 
 
-def penalty_path(problem: Problem, lam, w0, newton: Newton, max_steps: int) -> Minimum:
+def penalty_path(problem: Problem, lam, w0, newton: Newton) -> Minimum:
     """Minimise at gamma_0, 10 gamma_0, ... Stops when the largest distance to N is below
     1e-4 of the reach, or no longer halves (the basis cannot follow N more closely; more
     gamma would make the map worse)."""
@@ -29,20 +29,20 @@ def penalty_path(problem: Problem, lam, w0, newton: Newton, max_steps: int) -> M
 
     def minimise(w, gamma):
         stage = Stage(problem, lam, gamma, problem.energy.penalised())
-        found = newton_solve(newton, stage, w, max_steps)
-        _, energies = objective(found.w, stage)
-        return found, energies.off_manifold
+        return newton_solve(newton, stage, w)
 
     def unfinished(carry):
         stages, found, gap, halved = carry
         go_on = (stages < STAGES) & (gap > TOLERANCE * reach) & halved
-        return go_on & (found.result == optx.RESULTS.successful)
+        return (stages == 0) | (go_on & (found.result == optx.RESULTS.successful))
 
     def next_stage(carry):
         stages, before, gap, _ = carry
-        found, new_gap = minimise(before.w, FACTOR * before.gamma)
+        found = minimise(before.w, gamma * FACTOR**stages)
         found = found._replace(stats=add_counts(found.stats, before.stats))
+        new_gap = found.energies.off_manifold
         return stages + 1, found, new_gap, new_gap < 0.5 * gap
 
-    carry = jax.tree.map(jnp.asarray, (1, *minimise(w0, gamma), True))
+    start = nothing(minimise, w0, gamma)._replace(w=w0)
+    carry = jnp.array(0), start, jnp.asarray(jnp.inf), jnp.array(True)
     return jax.lax.while_loop(unfinished, next_stage, carry)[1]

@@ -17,8 +17,9 @@ from .._objective.problem import Problem
 from .._objective.resolution import warn_where_coarse
 from .._objective.sites import Stage
 from .._sources.checks import check_lam, is_concrete
-from .linear import DirectSolvers, direct_solvers
+from .linear import AbstractSolvers, direct_solvers
 from .minimise import Method, minimise, newton_minimiser, stage_of
+from .minimum import nothing
 from .model import RegressionMap, regression_map
 from .newton import add_counts
 from .starts import STRIDE, starts_of
@@ -181,8 +182,8 @@ def _followed(problem, lam, lane, method, solvers, rtol, max_steps):
     def solve_at(now, w):
         last = now >= lam
         tolerance = jnp.where(last, rtol, jnp.maximum(rtol, ON_THE_WAY))
-        newton = newton_minimiser(solvers, tolerance, certify=last)
-        return minimise(problem, now, w, method, newton, max_steps)
+        newton = newton_minimiser(solvers, tolerance, max_steps, certify=last)
+        return minimise(problem, now, w, method, newton)
 
     def on_the_way(carry):
         return carry[0] < lam
@@ -194,14 +195,12 @@ def _followed(problem, lam, lane, method, solvers, rtol, max_steps):
         return now, found._replace(stats=add_counts(found.stats, before.stats))
 
     # the first lambda is that of a step taken from nowhere: one program serves all
-    shapes = jax.eval_shape(solve_at, lam, w)
-    nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
-    start = (first / STRIDE, nothing._replace(w=w))
+    start = (first / STRIDE, nothing(solve_at, lam, w)._replace(w=w))
     return jax.lax.while_loop(on_the_way, go_on, start)[1]
 
 
 @eqx.filter_custom_jvp
-def _implicit(stage: Stage, w: Float[Array, "KC t"], solvers: DirectSolvers):
+def _implicit(stage: Stage, w: Float[Array, "KC t"], solvers: AbstractSolvers):
     """`w`, with the derivative of a minimiser: dw = -H^{-1} d(grad E)."""
     return w
 

@@ -24,7 +24,7 @@ from .._objective.problem import Problem
 from .._objective.sites import Stage
 from .._objective.wavelengths import anchor
 from ..manifolds import Euclidean
-from .linear import DirectSolvers
+from .linear import AbstractSolvers
 from .minimise import Method, gauge, stage_of
 
 STRIDE = 100.0  # largest step of lambda on the way from a start
@@ -35,7 +35,7 @@ def starts_of(
     lam: ScalarLike,
     factors: Sequence[float],
     method: Method,
-    solvers: DirectSolvers,
+    solvers: AbstractSolvers,
 ) -> tuple[Float[Array, "n KC t"], Float[Array, " n"]]:
     """A start for each of `factors`, and the lambda of its first solve: the free solution
     at that multiple of lambda, below 1 at no more than the anchor. Where Newton moves a
@@ -79,7 +79,7 @@ def _logarithms(problem: Problem):
 
 
 def _nearest_maps(
-    problem: Problem, images: Float[Array, "n e p t"], solvers: DirectSolvers
+    problem: Problem, images: Float[Array, "n e p t"], solvers: AbstractSolvers
 ) -> Float[Array, "n KC t"]:
     """Of the basis, by least squares over the quadrature points."""
     jets, weights = problem.energy_jets, problem.energy_weights
@@ -99,7 +99,7 @@ def _nearest_maps(
 
 
 def free_solution(
-    problem: Problem, lam: ScalarLike, solvers: DirectSolvers
+    problem: Problem, lam: ScalarLike, solvers: AbstractSolvers
 ) -> Float[Array, "KC t"]:
     """The minimiser with N = R^t: a thin-plate spline, one linear solve."""
     if problem.free_jets is not None:
@@ -107,14 +107,14 @@ def free_solution(
     return _flat_solution(problem, lam, solvers)
 
 
-def _spline(problem: Problem, y, lam, solvers: DirectSolvers) -> Float[Array, "KC t"]:
+def _spline(problem: Problem, y, lam, solvers: AbstractSolvers) -> Float[Array, "KC t"]:
     """The same with the energy of the source itself, of other data around 0."""
     zero = jnp.zeros_like(problem.origin)
     other = eqx.tree_at(lambda p: (p.y, p.origin), problem, (y, zero))
     return _flat_solution(other, lam, solvers)
 
 
-def _flat_solution(problem: Problem, lam, solvers: DirectSolvers):
+def _flat_solution(problem: Problem, lam, solvers: AbstractSolvers):
     where = lambda p: (p.target, p.energy, p.terms)
     energy = problem.energy.penalised()
     flat = eqx.tree_at(where, problem, (Euclidean(problem.y.shape[1]), energy, ()))

@@ -11,7 +11,7 @@ from .._objective.problem import Problem, make_problem, psi_at_data
 from .._selection.choice import evaluated
 from .._selection.folds import held_out_error, training_sets
 from .._selection.lambda_grid import lambda_grid
-from .._solver.linear import DirectSolvers, direct_solvers
+from .._solver.linear import AbstractSolvers, direct_solvers
 from .._solver.model import evaluate
 from .._solver.starts import free_solution
 from .._source import AbstractSource
@@ -116,7 +116,7 @@ def _scores(
     problem: Problem,
     training: Bool[Array, "folds k"],
     lams: Float[Array, " lams"],
-    solvers: DirectSolvers,
+    solvers: AbstractSolvers,
 ) -> Float[Array, "folds lams"]:
     def one(fold, lam):
         inside = eqx.tree_at(lambda p: p.weights, problem, problem.weights * fold)
