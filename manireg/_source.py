@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from ._input.shown import listed
@@ -49,7 +50,7 @@ class Chart(eqx.Module):
 
     def atlas(self) -> "Atlas":
         """Of this chart alone."""
-        embed = lambda u, label: self.embed(u)
+        embed = Partial(_without_label, self.embed)
         return Atlas(self.lower[None], self.upper[None], np.zeros((1, 0)), embed)
 
 
@@ -191,6 +192,15 @@ class AbstractSource(eqx.Module):
                 f"(first at index {out[0]}: {listed(x[out[0]])}{unit}); widen it or drop "
                 "them."
             )
+
+
+def itself(u: Array) -> Array:
+    """The chart of a box. (One function: what is compiled for it serves all boxes.)"""
+    return u
+
+
+def _without_label(embed, u, label):
+    return embed(u)
 
 
 def bounding_box(

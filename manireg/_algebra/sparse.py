@@ -133,17 +133,17 @@ def sparsity(
     j = np.concatenate([np.asarray(own, dtype=np.int64) for own in near])
     entries = np.unique(keys(i, j, i <= j))
     entries = entries[entries < K**2]
-    rows, cols = (jnp.asarray(a, dtype=jnp.int32) for a in np.divmod(entries, K))
+    rows, cols = (a.astype(np.int32) for a in np.divmod(entries, K))
     places = []
     for own in families_of_centres:
         own = np.asarray(own, dtype=np.int64)
         first, second = (own[:, side] for side in np.triu_indices(own.shape[1]))
-        places.append(np.searchsorted(entries, keys(first, second, second >= 0)))
-    band = int(jnp.max(cols - rows)) + 1 if on_curve else None
-    return (
-        SparsityPattern(rows, cols, K, functions, band),
-        tuple(jnp.asarray(into, dtype=jnp.int32) for into in places),
-    )
+        into = np.searchsorted(entries, keys(first, second, second >= 0))
+        places.append(into.astype(np.int32))
+    band = int(np.max(cols - rows)) + 1 if on_curve else None
+    rows, cols = jax.device_put((rows, cols))
+    pattern = SparsityPattern(rows, cols, K, functions, band)
+    return pattern, jax.device_put(tuple(places))
 
 
 def band_order(

@@ -5,15 +5,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from .._programs.sizes import at_each, bucket
 from .._source import Atlas
 from .quadrature import Sample, geometry_of
 
 Spacing = Callable[[Float[np.ndarray, "n s"]], Float[np.ndarray, " n"]]
-BATCH = 512  # points embedded at a time: few shapes, few compilations
 FINER = 4  # cells a spacing that it is integrated over
 MIDPOINT = np.zeros(1), np.ones(1)
 
@@ -56,7 +55,7 @@ def even_cells(atlas: Atlas, spacing: Spacing, most: float = np.inf) -> Cells | 
     order = np.argsort(fine.lower[:, 0])
     points, *_, lengths = on_cells(atlas, fine)
     passed = np.append(0.0, np.cumsum((lengths / spacing(np.asarray(points)))[order]))
-    n = max(3, round(passed[-1]))
+    n = bucket(max(3, round(passed[-1])))
     if n > most:
         return None
     ends = np.append(fine.lower[order, 0], fine.upper[order[-1], 0])
@@ -86,20 +85,23 @@ def on_cells(atlas: Atlas, cells: Cells, rule=MIDPOINT) -> Sample:
     return points, frames, forms, volume * (boxes * weights.ravel()).ravel()
 
 
-def _embedded(atlas: Atlas, cells: Cells, rule, order: int = 1) -> list[np.ndarray]:
+def _embedded(atlas: Atlas, cells: Cells, rule, order: int = 1) -> tuple[np.ndarray, ...]:
     """Points, and derivatives of the chart up to `order`."""
     m = cells.lower.shape[1]
     nodes = np.stack(np.meshgrid(*[rule[0]] * m, indexing="ij"), -1).reshape(-1, m)
     half = 0.5 * (cells.upper - cells.lower)[:, None]
     u = 0.5 * (cells.lower + cells.upper)[:, None] + half * nodes
     labels = np.repeat(atlas.labels[cells.chart], len(nodes), axis=0)
-    u, n = u.reshape(-1, m), len(labels)
-    derivatives = [atlas.embed]
-    for _ in range(order):
-        derivatives.append(jax.jacfwd(derivatives[-1]))
-    parts = []
-    for start in range(0, n, BATCH):
-        index = np.minimum(np.arange(start, start + BATCH), n - 1)
-        batch = jnp.asarray(u[index]), jnp.asarray(labels[index])
-        parts.append([np.asarray(jax.vmap(d)(*batch)) for d in derivatives])
-    return [np.concatenate(a)[:n] for a in zip(*parts)]
+    return at_each(_to_order[order], atlas.embed, u.reshape(-1, m), labels)
+
+
+def _first(embed, u, label):
+    return embed(u, label), jax.jacfwd(embed)(u, label)
+
+
+def _second(embed, u, label):
+    jacobian = jax.jacfwd(embed)
+    return *_first(embed, u, label), jax.jacfwd(jacobian)(u, label)
+
+
+_to_order = {1: _first, 2: _second}

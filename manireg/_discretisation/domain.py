@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._programs.sizes import at_each
 from .._source import AbstractSource, Chart
 from .quadrature import Sample, axis_counts, gauss_panels, grid, of_known, quasi_uniform
 
@@ -169,12 +170,18 @@ def _product_domain(
     index = np.stack(
         np.meshgrid(*(np.arange(len(d.points)) for d in domains), indexing="ij"), -1
     ).reshape(-1, len(domains))
+    pick = lambda a, i: np.asarray(a)[index[:, i]]
     picked = [
-        jax.tree.map(lambda a, i=i: a[index[:, i]], d) for i, d in enumerate(domains)
+        jax.tree.map(lambda a, i=i: pick(a, i), d) for i, d in enumerate(domains)
     ]
-    frames = jax.vmap(jax.scipy.linalg.block_diag)(*(d.frames for d in picked))
-    points = jnp.concatenate([d.points for d in picked], axis=1)
-    weights = functools.reduce(jnp.multiply, (d.weights for d in picked))
+    frames = np.zeros((len(index), sum(d.frames.shape[1] for d in picked), source.dim))
+    row = column = 0
+    for d in picked:
+        s, m = d.frames.shape[1:]
+        frames[:, row : row + s, column : column + m] = d.frames
+        row, column = row + s, column + m
+    points = np.concatenate([d.points for d in picked], axis=1)
+    weights = functools.reduce(np.multiply, (d.weights for d in picked))
     return with_second_forms(source, points, frames, weights)
 
 
@@ -186,19 +193,21 @@ def seen_from(source: AbstractSource, domain: Domain) -> Domain:
 
 
 def sample_domain(sample: Sample) -> Domain:
-    return Domain(*map(jnp.asarray, sample))
+    return Domain(*jax.device_put(sample))
 
 
 def with_second_forms(manifold, points, frames, weights) -> Domain:
     """With the second fundamental forms of a manifold."""
-    points, frames = jnp.asarray(points), jnp.asarray(frames)
+    forms = at_each(_second_forms, manifold, points, frames)
+    return Domain(*jax.device_put((points, frames, forms, weights)))
+
+
+def _second_forms(manifold, p, frame):
     shape = manifold.point_shape
 
-    def form(p, a, b):
+    def form(a, b):
         ambient = (v.reshape(shape) for v in (p, a, b))
         return manifold.second_fundamental_form(*ambient).ravel()
 
-    over_b = jax.vmap(form, in_axes=(None, None, 1))
-    over_ab = jax.vmap(over_b, in_axes=(None, 1, None))
-    forms = jax.vmap(over_ab)(points, frames, frames)
-    return Domain(points, frames, forms, jnp.asarray(weights))
+    over_b = jax.vmap(form, in_axes=(None, 1))
+    return jax.vmap(over_b, in_axes=(1, None))(frame, frame)

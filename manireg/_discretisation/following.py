@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -117,7 +116,7 @@ def _candidates(source, spacing: LocalSpacing, n: int) -> Float[np.ndarray, "n s
     direction *= (distance / np.linalg.norm(direction, axis=1))[:, None]
     frames = tangent_frames(source, spacing.sites)[site]
     near = spacing.sites[site] + np.einsum("nsa,na->ns", frames, direction)
-    near = projected(source, jnp.asarray(near).reshape(-1, *source.point_shape))
+    near = projected(source, near.reshape(-1, *source.point_shape))
     near = np.asarray(near).reshape(len(site), -1)
     return np.concatenate([anywhere, near[np.all(np.isfinite(near), axis=1)]])
 

@@ -14,8 +14,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
+from .._programs.sizes import at_each, bucket
 from .local_polynomials import COVERED, LocalPolynomials, basis_values
 
+ELEMENTS = 64  # whose jets are taken at a time
 IN_ELEMENT = 24  # points at most, half to all of it come out; on curves a spacing's
 STEP = 4  # centres; see `_padded`
 
@@ -49,7 +51,7 @@ def in_order(jets: Jets, values: Float[Array, "e p t"], k: int) -> Float[Array, 
 
 def bucket_centres(jets: Jets, functions: int) -> list[Int[np.ndarray, "_ _"]]:
     """The centres of the elements of each bucket, negative for padding."""
-    near = np.asarray(jets.columns)[:, ::functions] // functions
+    near = np.asarray(jets.columns)[:, ::functions] // functions  # -1 // f is -1
     return [near[start:stop, : U // functions] for start, stop, U in jets.buckets]
 
 
@@ -67,24 +69,31 @@ def jets_of(
     """Full jets of `basis` at `points`. Runs once, on the host."""
     where = np.asarray(points)
     cells = _nearest(basis, where) if basis.dim == 1 else _bisect(where, IN_ELEMENT)
-    index, mask, near = map(jnp.asarray, _elements(basis, where, cells))
-    matrices = _jet_rows(basis, points[index], frames[index], second_forms[index], near)
-    return Jets(matrices, _columns(basis, near), index, mask, _buckets(near, basis))
+    index, mask, near = _elements(basis, where, cells)
+    geometry = (np.asarray(a)[index] for a in (points, frames, second_forms))
+    matrices = at_each(_jet_rows, basis, *geometry, near, most=ELEMENTS)
+    arrays = jax.device_put((matrices, _columns(basis, near), index, mask))
+    return Jets(*arrays, _buckets(near, basis))
 
 
 def value_jets(
     basis: LocalPolynomials, points: Float[Array, "Q s"], energy_jets: Jets
 ) -> Jets:
-    """Values only. Shapes depend on the number of points and, as far as possible, on
-    `energy_jets`, not on where the points lie: new data reuse a compiled program."""
-    where = np.asarray(points)
-    cells = _bisect(where, max(1, len(points) // len(energy_jets.columns)))
+    """Values only. Shapes depend on the `bucket` of the number of points and, as far as
+    possible, on `energy_jets`, not on where the points lie: new data reuse a compiled
+    program."""
+    where, most = np.asarray(points), bucket(len(points))
+    largest = max(1, most // len(energy_jets.columns))
+    cells = _bisect(where, largest)
     overlap = energy_jets.columns.shape[1] // basis.size
-    index, mask, near = map(jnp.asarray, _elements(basis, where, cells, overlap))
-    matrices = _value_rows(basis, points[index], near)
+    index, mask, near = _elements(basis, where, cells, overlap)
+    matrices = at_each(_value_rows, basis, where[index], near, most=ELEMENTS)
     columns = _columns(basis, near)
-    e, U = columns.shape
-    return Jets(matrices, columns, index, mask, ((0, e, U),))
+    e, U = max(len(cells), _cells(most, largest)), columns.shape[1]
+    index, mask = _grown(index, 0, e, largest), _grown(mask, 0.0, e, largest)
+    matrices = _grown(matrices, 0.0, e, largest)
+    arrays = matrices, _grown(columns, -1, e), index, mask
+    return Jets(*jax.device_put(arrays), ((0, e, U),))
 
 
 def centres_near(
@@ -96,7 +105,7 @@ def centres_near(
     near = np.split(
         centre[order], np.cumsum(np.bincount(supported, minlength=len(points)))
     )
-    return _padded(near[:-1], [-1] * len(points), least=STEP)[0]
+    return _padded(near[:-1], [-1] * len(points), least=2 * STEP)[0]
 
 
 def _supports(basis: LocalPolynomials, points: np.ndarray):
@@ -116,23 +125,20 @@ def _buckets(near, basis: LocalPolynomials) -> tuple[tuple[int, int, int], ...]:
     )
 
 
-def _columns(basis: LocalPolynomials, near) -> Int[Array, "e U"]:
-    functions = near[:, :, None] * basis.size + jnp.arange(basis.size)
+def _columns(basis: LocalPolynomials, near) -> Int[np.ndarray, "e U"]:
+    functions = near[:, :, None] * basis.size + np.arange(basis.size)
     return functions.reshape(len(near), -1)
 
 
-@eqx.filter_jit
 def _value_rows(basis, points, near):
-    row = lambda x, near: basis_values(basis, x, near)[None]
-    return jax.vmap(jax.vmap(row, (0, None)))(points, near)
+    return jax.vmap(lambda x: basis_values(basis, x, near)[None])(points)
 
 
-@eqx.filter_jit
 def _jet_rows(basis, points, frames, second_forms, near):
     m = frames.shape[-1]
     pairs = second_derivative_pairs(m)
 
-    def rows(x, frame, form, near):
+    def rows(x, frame, form):
         def along(u):
             curve = x + frame @ u + 0.5 * jnp.einsum("a,b,abs->s", u, u, form)
             return basis_values(basis, curve, near)
@@ -144,8 +150,7 @@ def _jet_rows(basis, points, frames, second_forms, near):
             [value, *first.T, *(second[:, a, b] for a, b in pairs)], axis=0
         )
 
-    one_element = jax.vmap(rows, (0, 0, 0, None))
-    return jax.lax.map(lambda a: one_element(*a), (points, frames, second_forms, near))
+    return jax.vmap(rows)(points, frames, second_forms)
 
 
 def _elements(
@@ -200,6 +205,18 @@ def _bisect(points: np.ndarray, largest: int) -> list[np.ndarray]:
         return [*halves(order[:half]), *halves(order[half:])]
 
     return halves(np.arange(len(points)))
+
+
+def _cells(n: int, largest: int) -> int:
+    """How many cells there are of n points."""
+    return 1 if n <= largest else _cells(n // 2, largest) + _cells(n - n // 2, largest)
+
+
+def _grown(array: np.ndarray, fill: float, *sizes: int) -> np.ndarray:
+    """The first axes at least of these sizes."""
+    more = [(0, max(0, size - n)) for size, n in zip(sizes, array.shape)]
+    more += [(0, 0)] * (array.ndim - len(more))
+    return np.pad(array, more, constant_values=fill)
 
 
 def _padded(rows, fill, least: int = 0) -> tuple[np.ndarray, np.ndarray]:

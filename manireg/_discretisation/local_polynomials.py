@@ -15,6 +15,7 @@ are made orthonormal around each centre, in their order; the space of maps is th
 import itertools
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -61,13 +62,12 @@ def local_polynomials(
     """Basis on the points and frames of a `Domain`; `widths` a number or one a centre.
     `around`: points of the source, some in every support."""
     K, s = centres.points.shape
-    widths = jnp.broadcast_to(jnp.asarray(widths, float), (K,))
-    frames = complete_frames(centres.frames)
+    widths = np.broadcast_to(np.asarray(widths, float), (K,))
+    frames = complete_frames(np.asarray(centres.frames))
     exponents = _exponents(centres.dim, s, degree)
     mixing = _orthonormal(centres.points, frames, widths, exponents, around.points)
-    return LocalPolynomials(
-        centres.points, frames, widths, jnp.asarray(mixing), centres.dim, degree
-    )
+    arrays = jax.device_put((centres.points, frames, widths, mixing))
+    return LocalPolynomials(*arrays, centres.dim, degree)
 
 
 def _exponents(m: int, s: int, degree: int) -> tuple[tuple[int, ...], ...]:

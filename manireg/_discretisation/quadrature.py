@@ -10,8 +10,10 @@ from jaxtyping import ArrayLike, Float
 from scipy.spatial import KDTree
 from scipy.stats import qmc
 
+from .._programs.sizes import at_each
 from .._source import Chart
 from ..manifolds._defaults.frames import tangent_frames
+from ..manifolds._membership import projected
 from .spacing import (
     data_spacings,
     equally_near,
@@ -32,6 +34,7 @@ FlatSample = tuple[
 """The same without the forms."""
 
 CANDIDATES = 12  # random points per point wanted, of which farthest ones are taken
+CELLS = 64  # measured at a time
 TANGENT_SAMPLES = 256  # points per Voronoi cell volume
 
 
@@ -43,7 +46,7 @@ def axis_counts(chart: Chart, n: int) -> list[int]:
     for axis in range(len(middle)):
         line = np.tile(middle, (len(steps), 1))
         line[:, axis] = chart.lower[axis] + steps[:, axis]
-        points = np.asarray(jax.vmap(chart.embed)(jnp.asarray(line)))
+        points = at_each(_embedded, chart.embed, line)
         lengths.append(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     spacing = (np.prod(lengths) / n) ** (1 / len(lengths))
     counts = [max(1, round(length / spacing)) for length in lengths]
@@ -62,12 +65,18 @@ def grid(chart: Chart, axes) -> Sample:
     """The product of rules `(nodes, weights)` along the axes of a chart."""
     coordinates = np.stack(np.meshgrid(*(x for x, _ in axes), indexing="ij"), -1)
     weights = functools.reduce(np.multiply.outer, (w for _, w in axes)).ravel()
-    u = jnp.asarray(coordinates.reshape(len(weights), -1))
-    jacobian = jax.jacfwd(chart.embed)
-    derivatives = chart.embed, jacobian, jax.jacfwd(jacobian)
-    points, jacobian, hessian = (np.asarray(jax.vmap(d)(u)) for d in derivatives)
-    frames, forms, volume = geometry_of(jacobian, hessian)
-    return points, frames, forms, volume * weights
+    u = coordinates.reshape(len(weights), -1)
+    frames, forms, volume = geometry_of(*at_each(_derivatives, chart.embed, u))
+    return at_each(_embedded, chart.embed, u), frames, forms, volume * weights
+
+
+def _embedded(embed, u):
+    return embed(u)
+
+
+def _derivatives(embed, u):
+    jacobian = jax.jacfwd(embed)
+    return jacobian(u), jax.jacfwd(jacobian)(u)
 
 
 def geometry_of(
@@ -125,9 +134,9 @@ def of_known(
     local_lam = spacing ** (2 * order - source.dim)
     areas = areas * local_lam * np.sum(areas) / np.sum(areas * local_lam)
     weights = _shared_out(points, areas, points[index])
-    chosen = jnp.asarray(points[index])
+    chosen = points[index]
     if len(points) > len(source.known_points()[0]):  # those lie in triangles
-        chosen = source.project(chosen)
+        chosen = np.asarray(projected(source, chosen))
     return chosen, tangent_frames(source, chosen), weights
 
 
@@ -149,20 +158,21 @@ def voronoi_volumes(source, points, frames) -> np.ndarray:
     ball = qmc.Sobol(m, rng=0).random(4 * TANGENT_SAMPLES) * 2 - 1
     ball = ball[np.sum(ball**2, axis=1) < 1]
     ball_volume = 2.0**m * len(ball) / (4 * TANGENT_SAMPLES)
-    shape = source.point_shape
-
-    def to_manifold(p, frame, u):
-        return source.project((p + frame @ u).reshape(shape)).ravel()
-
-    def cell(p, frame, r):
-        u = r * jnp.asarray(ball)
-        landed = jax.vmap(lambda u: to_manifold(p, frame, u))(u)
-        jacobian = jax.vmap(jax.jacfwd(lambda u: to_manifold(p, frame, u)))(u)
-        gram = jnp.einsum("usa,usb->uab", jacobian, jacobian)
-        return landed, jnp.sqrt(jnp.linalg.det(gram)) * r**m
-
-    batched = jax.jit(jax.vmap(cell))
-    landed, volume = batched(*map(jnp.asarray, (points, frames, radius)))
-    nearest = tree.query(np.asarray(landed).reshape(-1, points.shape[1]))[1]
+    owner = source, ball
+    landed, volume = at_each(_cell, owner, points, frames, radius, most=CELLS)
+    nearest = tree.query(landed.reshape(-1, points.shape[1]))[1]
     own = nearest.reshape(len(points), -1) == np.arange(len(points))[:, None]
-    return np.sum(own * np.asarray(volume), axis=1) * ball_volume / len(ball)
+    return np.sum(own * volume, axis=1) * ball_volume / len(ball)
+
+
+def _cell(owner, p, frame, r):
+    """Where the vectors of a ball of radius r land, and the volumes there."""
+    source, ball = owner
+
+    def to_manifold(u):
+        return source.project((p + frame @ u).reshape(source.point_shape)).ravel()
+
+    landed = jax.vmap(to_manifold)(r * ball)
+    jacobian = jax.vmap(jax.jacfwd(to_manifold))(r * ball)
+    gram = jnp.einsum("usa,usb->uab", jacobian, jacobian)
+    return landed, jnp.sqrt(jnp.linalg.det(gram)) * r**source.dim

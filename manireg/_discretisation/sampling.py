@@ -1,16 +1,16 @@
 """Centres and quadrature for the data at hand."""
 
-import jax.numpy as jnp
 import numpy as np
 
+from .._programs.sizes import bucket
 from .._source import AbstractSource
 from .domain import centres_of, discretise
 from .following import follow
 from .local_spacing import clustered_spacing
 from .spacing import local_spacings
 
-DEFAULT_CENTRES = {1: (30, 100), 2: (50, 400), 3: (60, 400)}  # least and most
-CLUSTERED = 400  # at most, where the data cluster
+DEFAULT_CENTRES = {1: (32, 96), 2: (48, 384), 3: (64, 384)}  # least and most
+CLUSTERED = 384  # at most, where the data cluster
 
 
 def sample(source: AbstractSource, x, centres: int | None, graded: bool, order: int):
@@ -18,9 +18,9 @@ def sample(source: AbstractSource, x, centres: int | None, graded: bool, order: 
     of it, or where they cluster what they would fill at their median density."""
     m = source.sampled.dim
     low, high = DEFAULT_CENTRES.get(m, DEFAULT_CENTRES[3])
-    n = int(np.clip(len(x), low, high)) if centres is None else centres
+    n = int(np.clip(bucket(len(x)), low, high)) if centres is None else centres
     domain = discretise(source, n, x, graded, order)
-    volume = float(jnp.sum(domain.weights))
+    volume = float(np.sum(domain.weights))
     data = np.asarray(x)
     spacing = None if graded else clustered_spacing(data, m, volume, n, low)
     if spacing is not None:

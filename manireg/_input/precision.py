@@ -1,8 +1,18 @@
 """Everything here needs float64, and JAX forgets it from process to process."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
-from jaxtyping import PyTree
+import numpy as np
+from jaxtyping import Array, PyTree
+
+
+def as_scalar(value: Any) -> Array:
+    """A number as a float64 array `()`, without compiling anything."""
+    if isinstance(value, jax.Array):
+        return jnp.asarray(value, float)
+    return jax.device_put(np.asarray(value, float))
 
 
 def check_x64(loaded: PyTree = None):

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from .._discretisation.jets import second_derivative_pairs
 from .._discretisation.spacing import data_spacings
+from .._input.precision import as_scalar
 from ..manifolds import AbstractManifold
 from .terms import AbstractTerm, Jet, project_flat
 
@@ -111,7 +112,7 @@ class Tension(AbstractEnergy):
     r"""$|P H|^2 + \tau |P (D\Psi - A)|^2 / h^2$ in the neighbourhood of the source: what
     the first derivative costs, against A, that of the affine map of the data."""
 
-    tau: Float[Array, ""] = eqx.field(converter=lambda v: jnp.asarray(v, float))
+    tau: Float[Array, ""] = eqx.field(converter=lambda v: as_scalar(v))
     derivative: Float[Array, "s t"]
     """A, of the least-squares affine map of the data."""
     data: Float[Array, "k s"]
@@ -141,9 +142,10 @@ def affine_derivative(
     x: Float[Array, "k s"], y: Float[Array, "k t"], weights: Float[Array, " k"]
 ) -> Float[Array, "s t"]:
     """That of the affine map that fits the data best."""
-    share = np.asarray(weights / jnp.sum(weights))[:, None]
+    x, y, weights = map(np.asarray, (x, y, weights))
+    share = (weights / np.sum(weights))[:, None]
     centre = lambda a: np.sqrt(share) * (a - np.sum(share * a, axis=0))
-    return jnp.asarray(np.linalg.lstsq(centre(x), centre(y), rcond=THIN)[0])
+    return jax.device_put(np.linalg.lstsq(centre(x), centre(y), rcond=THIN)[0])
 
 
 def _bending(target: AbstractManifold, jet: Jet) -> Float[Array, "r t"]:

@@ -21,7 +21,7 @@ from .._discretisation.jets import (
 from .._discretisation.local_polynomials import LocalPolynomials, local_polynomials
 from .._discretisation.sampling import sample
 from .._input.numbers import Numbers
-from .._input.precision import check_x64
+from .._input.precision import as_scalar, check_x64
 from .._source import AbstractSource
 from .._sources.checks import check_data, check_dimension, check_tension
 from ..manifolds import AbstractManifold
@@ -63,6 +63,8 @@ class Problem(eqx.Module):
     data_volume: Float[Array, ""]
     """Of the part of the source that the data fill: less than `volume` where they
     cluster."""
+    dim: int = eqx.field(static=True)
+    """m, of what is integrated over."""
 
     @property
     def volume(self) -> Float[Array, ""]:
@@ -178,7 +180,7 @@ def make_problem(
     basis = local_polynomials(nodes, width * spacing, degree, domain)
     if m == 1:
         order = band_order(np.asarray(basis.centres), np.asarray(basis.widths))
-        basis = jax.tree.map(lambda a: a[order], basis)
+        basis = jax.tree.map(lambda a: jax.device_put(np.asarray(a)[order]), basis)
     return assemble_problem(
         source, target, basis, domain, x, y, weights, energy, terms, data_volume
     )
@@ -190,7 +192,7 @@ def with_tension(problem: Problem, tension: float) -> Problem:
     assert isinstance(problem.energy, Tension)
     energy, arguments = AmbientEells(), ()
     if tension > 0:
-        energy = eqx.tree_at(lambda e: e.tau, problem.energy, jnp.asarray(tension))
+        energy = eqx.tree_at(lambda e: e.tau, problem.energy, as_scalar(tension))
         arguments = problem.energy_arguments
     where = lambda p: (p.energy, p.energy_arguments)
     return eqx.tree_at(where, problem, (energy, arguments))
@@ -239,15 +241,17 @@ def assemble_problem(
 ) -> Problem:
     """The same from a basis and a quadrature of your own; inputs are not checked."""
     if data_volume is None:
-        data_volume = jnp.sum(domain.weights)
+        data_volume = np.sum(domain.weights)
     energy_jets = jets_of(basis, domain.points, domain.frames, domain.second_forms)
     free_jets = None
     if np.any(np.asarray(domain.second_forms)):
-        flat = jnp.zeros_like(domain.second_forms)
+        flat = np.zeros(domain.second_forms.shape)
         free_jets = jets_of(basis, domain.points, domain.frames, flat)
     data_jets = value_jets(basis, x, energy_jets)
     pattern, energy_places, data_places = pattern_of(basis, energy_jets, data_jets)
     energy = Eells() if energy is None else energy
+    at_points = np.asarray(domain.weights)[np.asarray(energy_jets.index)]
+    share = np.asarray(weights) / np.sum(weights)
     places = {"quadrature": (domain.points, None), "data": (x, y)}
     return Problem(
         source=source,
@@ -255,24 +259,25 @@ def assemble_problem(
         basis=basis,
         energy_jets=energy_jets,
         free_jets=free_jets,
-        energy_weights=domain.weights[energy_jets.index] * energy_jets.mask,
+        energy_weights=jax.device_put(at_points * np.asarray(energy_jets.mask)),
         data_jets=data_jets,
         x=x,
         y=y,
         weights=weights,
-        origin=weights @ y / jnp.sum(weights),
+        origin=jax.device_put(share @ np.asarray(y)),
         pattern=pattern,
         energy_places=energy_places,
         data_places=data_places,
         energy=energy,
         energy_arguments=_arrays(energy.arguments(domain.points, None)),
         terms=tuple((t, _arrays(t.arguments(*places[t.place]))) for t in terms),
-        data_volume=jnp.asarray(data_volume),
+        data_volume=as_scalar(data_volume),
+        dim=source.sampled.dim,
     )
 
 
 def _arrays(arguments: PyTree) -> PyTree:
-    return jax.tree.map(jnp.asarray, arguments)
+    return jax.device_put(arguments)
 
 
 def pattern_of(basis: LocalPolynomials, energy_jets: Jets, data_jets: Jets):

@@ -30,7 +30,7 @@ def warn_where_coarse(problem: Problem, lam: ScalarLike) -> None:
     shorter than two spacings of the centres. Silent for traced problems or lambdas."""
     if not is_concrete(lam, problem.x, problem.basis.centres):
         return
-    m = problem.source.sampled.dim
+    m = problem.dim
     data = np.unique(np.asarray(problem.x), axis=0)
     wanted, spacing = _wanted_spacings(problem, data, float(np.asarray(lam)), m)
     coarse = spacing > wanted

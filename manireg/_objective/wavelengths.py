@@ -1,9 +1,8 @@
 """Lambda as a wavelength: a perturbation of wavelength l adds to loss and penalty alike at
 lambda = (l / 2 pi)^4 / V, V the volume that the data fill, whatever the target's scale (4:
-twice the order of the energy)."""
+twice the order of the energy). On the host for arrays of NumPy, else in JAX."""
 
-import jax.numpy as jnp
-import numpy as np
+import math
 
 from .problem import Problem
 
@@ -12,13 +11,13 @@ ANCHOR = 1.5  # wavelength, in spacings of the data, under which maps follow the
 
 def mean_spacing(problem: Problem):
     """Of the data that have a weight, in the volume that they fill."""
-    k = jnp.sum(problem.weights > 0)
-    return (problem.data_volume / k) ** (1 / problem.source.sampled.dim)
+    k = (problem.weights > 0).sum()
+    return (problem.data_volume / k) ** (1 / problem.dim)
 
 
 def lambda_of_wavelength(problem: Problem, wavelength):
     power = 2 * problem.energy.order
-    return (wavelength / (2 * np.pi)) ** power / problem.data_volume
+    return (wavelength / (2 * math.pi)) ** power / problem.data_volume
 
 
 def anchor(problem: Problem):

@@ -6,10 +6,10 @@ from typing import Any, Literal
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._input.precision import as_scalar
 from .._solver.model import RegressionMap
 from .path import Leg, follow
 from .scores import AbstractScore, Fit
@@ -42,12 +42,12 @@ class CrossValidation(eqx.Module):
     @property
     def score(self) -> Float[Array, ""]:
         """Mean score at the chosen lambda."""
-        return jnp.mean(self.scores, axis=0)[self.chosen]
+        return as_scalar(np.mean(self.scores, axis=0)[self.chosen])
 
     @property
     def chosen(self) -> Int[Array, ""]:
         """Index of `lam` in `lams`."""
-        return jnp.argmin(jnp.abs(self.lams - self.lam))
+        return jax.device_put(np.argmin(np.abs(np.asarray(self.lams) - self.lam)))
 
     @property
     def on_edge(self) -> Bool[Array, ""]:
@@ -84,9 +84,9 @@ def choose(
     lams, (_, scores, converged), best = evaluated(
         grid, evaluate, widen, RULES[rule], ratios
     )
-    lam = lams[best]
-    model = score.model(lam, fits[float(lam)])
-    return CrossValidation(lam, lams, scores, converged, model, rule)
+    model = score.model(as_scalar(lams[best]), fits[float(lams[best])])
+    arrays = jax.device_put((np.asarray(lams[best]), lams, scores, converged))
+    return CrossValidation(*arrays, model, rule)
 
 
 def lowest(scores: Float[np.ndarray, "folds n"]) -> int:
@@ -116,11 +116,11 @@ RULES: Mapping[Rule, Callable[[np.ndarray], int]] = {
 
 def evaluated(
     grid: Float[Array | np.ndarray, " n"],
-    evaluate: Callable[[Array], Any],
+    evaluate: Callable[[np.ndarray], Any],
     widen: bool,
     rule: Callable[[np.ndarray], int] = lowest,
     ratios: Float[np.ndarray, " r"] | None = None,
-) -> tuple[Array, Any, int]:
+) -> tuple[np.ndarray, Any, int]:
     """`grid`, `evaluate(grid)` and the index of the value that the rule chooses.
 
     `evaluate` gives a tuple of arrays `(folds, n, ...)`, scores first. With `widen`, while
@@ -132,7 +132,7 @@ def evaluated(
     quarters = 0.25 * np.arange(1, len(grid) + 1) / len(grid)
     up = (grid[-1] / grid[0]) ** quarters if ratios is None else ratios
     host = lambda arrays: jax.tree.map(np.asarray, arrays)
-    results = host(evaluate(jnp.asarray(grid)))
+    results = host(evaluate(grid))
     for _ in range(WIDENINGS if widen else 0):
         below = lowest(results[0]) == 0
         if not below and rule(results[0]) < len(grid) - 1:
@@ -141,7 +141,7 @@ def evaluated(
         join = lambda old, new, axis: np.concatenate(
             [new, old] if below else [old, new], axis=axis
         )
-        more = host(evaluate(jnp.asarray(new)))
+        more = host(evaluate(new))
         results = jax.tree.map(lambda a, b: join(a, b, 1), results, more)
         grid = join(grid, new, 0)
-    return jnp.asarray(grid), jax.tree.map(jnp.asarray, results), rule(results[0])
+    return grid, results, rule(results[0])

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import PRNGKeyArray
 
 from .._input.numbers import Numbers
+from .._objective.arguments import on_host
 from .._objective.problem import Problem
 from .._objective.wavelengths import anchor
 from .._source import AbstractSource
@@ -79,7 +80,7 @@ def cross_validate(
     default = lams is None
     training = training_sets(problem.weights, folds, key)
     grid = np.asarray(lambda_grid(problem)) if default else check_lams(lams)
-    middle = float(anchor(problem))
+    middle = float(anchor(on_host(problem)))
     return choose(
         KFold(problem, training, linear_algebra, max_steps),
         grid,

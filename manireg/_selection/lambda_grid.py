@@ -1,10 +1,11 @@
 """Grids of lambda, from the wavelengths that the data can tell apart."""
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._input.precision import check_x64
+from .._objective.arguments import on_host
 from .._objective.problem import Problem
 from .._objective.wavelengths import lambda_of_wavelength, mean_spacing
 
@@ -25,16 +26,18 @@ def lambda_grid(problem: Problem, n: int | None = None) -> Float[Array, " n"]:
     the scale of the target. Below the spacing the data say nothing.
     """
     check_x64(problem)
-    size = problem.volume ** (1 / problem.source.sampled.dim)
-    low = jnp.log(lambda_of_wavelength(problem, mean_spacing(problem)))
-    high = jnp.log(lambda_of_wavelength(problem, 2 * size))
+    here, m = on_host(problem), problem.dim
+    size = np.sum(here.energy_weights) ** (1 / m)
+    low = np.log(lambda_of_wavelength(here, mean_spacing(here)))
+    high = np.log(lambda_of_wavelength(here, 2 * size))
     if n is None:
-        even = 4 * (np.log(2) + np.log(len(problem.y)) / problem.source.sampled.dim)
+        even = 4 * (np.log(2) + np.log(len(problem.y)) / m)
         n = 1 + round((GRID - 1) * max(1.0, float(high - low) / even))
-    return jnp.exp(jnp.linspace(low, high, n))
+    return jax.device_put(np.exp(np.linspace(low, high, n)))
 
 
 def short_grid(problem: Problem) -> Float[Array, " lams"]:
     """Around the spacing of the data: five values, each 3.4 times the one before."""
-    longest = lambda_of_wavelength(problem, LONGEST * mean_spacing(problem))
-    return longest * RATIO ** -jnp.arange(VALUES)[::-1]
+    here = on_host(problem)
+    longest = lambda_of_wavelength(here, LONGEST * mean_spacing(here))
+    return jax.device_put(longest * RATIO ** -np.arange(VALUES, dtype=float)[::-1])

@@ -4,10 +4,10 @@ which order is a plan, made beforehand; what is fitted is the score's business."
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from tqdm.auto import tqdm
 
+from .._input.precision import as_scalar
 from .scores import AbstractScore, Fit
 
 HOPELESS = 2.0  # times the best mean score
@@ -58,7 +58,7 @@ def follow(
                 if lam in fits:
                     break
                 # a Python number would be compiled into the program
-                traced = jnp.asarray(lam, float)
+                traced = as_scalar(lam)
                 place = score.start(traced) if place is None else place
                 fits[lam] = score.fit(traced, place)
                 place = fits[lam].place

@@ -13,8 +13,10 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, PyTree
 
+from .._objective.arguments import argument, of_data
 from .._objective.objective import objective
 from .._objective.problem import Problem, psi_at_data
+from .._programs.program import program
 from .._solver.leverages import left_out_errors
 from .._solver.linear import AbstractSolvers, direct_solvers
 from .._solver.minimise import gauge, minimise, newton_minimiser, stage_of
@@ -77,19 +79,26 @@ class KFold(AbstractScore):
     max_steps: int = eqx.field(static=True)
 
     def start(self, lam):
-        return sweep(_start, self.training, (lam, self.problem, _solvers(self)))
+        shared = lam, argument(self.problem), _solvers(self)
+        return sweep(_start, self._lanes, shared)
 
     def fit(self, lam, place):
-        shared = lam, self.problem, _solvers(self), self.max_steps
-        place, *rest = sweep(_advance, (self.training, place), shared)
+        max_steps = np.asarray(self.max_steps)
+        shared = lam, argument(self.problem), _solvers(self), max_steps
+        place, *rest = sweep(_advance, (self._lanes, place), shared)
         scores, converged, w = map(np.asarray, (*rest, place.w))
         return Fit(place, scores, converged, w)
 
     def trimmed(self, scores):
         return scores
 
+    @property
+    def _lanes(self) -> Bool[np.ndarray, "folds size"]:
+        """With what the problem is filled up with, of weight 0."""
+        return of_data(self.training.T, len(self.problem.y)).T
+
     def model(self, lam, fit):
-        warm = _lowest(jnp.asarray(fit.found), self.problem, lam)
+        warm = _lowest(fit.found, argument(self.problem), lam)
         return solve(self.problem, lam, warm=warm, linear_algebra=self.linear_algebra)
 
 
@@ -138,7 +147,7 @@ def _held_out_error(problem: Problem, inside, w) -> Float[Array, ""]:
     return held_out_error(problem.target, predicted, problem.y, problem.weights, inside)
 
 
-@eqx.filter_jit
+@program(most=4)
 def _lowest(w: Float[Array, "folds KC t"], problem: Problem, lam):
     """The map of lowest objective on all data: folds may lie in different minima."""
 
@@ -159,17 +168,21 @@ class LeaveOneOut(AbstractScore):
     max_steps: int = eqx.field(static=True)
 
     def start(self, lam):
-        return eqx.filter_jit(free_solution)(self.problem, lam, _solvers(self))
+        return _free(argument(self.problem), lam, _solvers(self))
 
     def fit(self, lam, place):
-        shared = _solvers(self), self.max_steps
-        model, errors = _fit_and_score(self.problem, lam, place, *shared)
-        heavy = np.asarray(self.problem.weights) > 0
-        scores = np.nan_to_num(np.asarray(errors)[heavy], nan=np.inf)
+        shared = _solvers(self), np.asarray(RTOL), np.asarray(self.max_steps)
+        found, errors = _fit_and_score(argument(self.problem), lam, place, *shared)
+        model = regression_map(self.problem, *found)
+        weights = np.asarray(self.problem.weights)
+        heavy = weights > 0
+        # in units of the mean weight
+        errors = np.asarray(errors)[: len(heavy)] * weights / np.mean(weights[heavy])
+        scores = np.nan_to_num(errors[heavy], nan=np.inf)
         successful = bool(model.result == optx.RESULTS.successful)
         w = model.coefficients
         # a fit that ends in no numbers is no start for the next
-        place = w if np.all(np.isfinite(w)) else place
+        place = w if np.all(np.isfinite(np.asarray(w))) else place
         return Fit(place, scores, np.full(scores.shape, successful), model)
 
     def trimmed(self, scores):
@@ -186,14 +199,13 @@ def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
     return np.minimum(errors, np.quantile(errors, 0.9))
 
 
-@eqx.filter_jit
-def _fit_and_score(problem: Problem, lam, w, solvers: AbstractSolvers, max_steps: int):
-    newton = newton_minimiser(solvers, RTOL, max_steps, keep_model=True)
+_free = program(most=8)(free_solution)
+
+
+@program(most=8)
+def _fit_and_score(problem: Problem, lam, w, solvers: AbstractSolvers, rtol, max_steps):
+    newton = newton_minimiser(solvers, rtol, max_steps, keep_model=True)
     found = minimise(problem, lam, w, "projected", newton)
     stage = stage_of(problem, lam, found.gamma, "projected", found.w)
-    model = regression_map(
-        problem, found.w, lam, found.energies, found.result, found.stats
-    )
     errors = left_out_errors(found.w, stage, found.model, solvers)
-    mean = jnp.sum(problem.weights) / jnp.sum(problem.weights > 0)
-    return model, errors * problem.weights / mean
+    return (found.w, lam, found.energies, found.result, found.stats), errors

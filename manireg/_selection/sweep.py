@@ -3,14 +3,13 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
 
 from .._input.precision import check_x64
+from .._programs.program import program
 
 LANES = PartitionSpec("lanes")
 REPLICATED = PartitionSpec()
@@ -51,10 +50,10 @@ def sweep(
             f"lanes: arrays with one common leading axis expected, found {lengths}."
         )
     devices = tuple(jax.devices() if devices is None else devices)
-    return _sweep(fit, jax.tree.map(jnp.asarray, lanes), shared, devices)
+    return _sweep(fit, jax.device_put(lanes), shared, devices)
 
 
-@eqx.filter_jit
+@program(most=8)
 def _sweep(fit, lanes, shared, devices: tuple[Any, ...]):
     one = lambda lane: fit(lane, shared)
     if len(devices) == 1:

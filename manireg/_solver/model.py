@@ -20,8 +20,9 @@ from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._objective.objective import Energies
 from .._objective.problem import Problem
+from .._programs.sizes import at_each
 from .._source import AbstractSource
-from .._sources.checks import check_inputs, is_concrete, projected
+from .._sources.checks import check_inputs, is_concrete
 from ..manifolds import AbstractManifold
 
 
@@ -54,15 +55,23 @@ class RegressionMap(eqx.Module):
         """
         check_x64(self.basis)
         flat, single = check_inputs(self.source, x)
+        parts = self.basis, self.coefficients, self.origin
+        if _is_host(self.target, parts, flat):
+            near = centres_near(self.basis, np.asarray(flat))
+            points, covered = at_each(_value, (self.target, *parts), flat, near)
+            if not np.all(covered):
+                raise RuntimeError(UNCOVERED)
+            return jax.device_put(points[0] if single else points)
         values, covered = evaluate(self.basis, self.coefficients, flat, self.origin)
-        values = eqx.error_if(
-            values,
-            ~covered,
-            "x: some points lie outside the support of every centre of the fitted map; "
-            "fit with inputs that cover them.",
-        )
-        points = projected(self.target, values.reshape(-1, *self.target.point_shape))
+        values = eqx.error_if(values, ~covered, UNCOVERED)
+        points = self.target.project(values.reshape(-1, *self.target.point_shape))
         return points[0] if single else points
+
+
+UNCOVERED = (
+    "x: some points lie outside the support of every centre of the fitted map; fit with "
+    "inputs that cover them."
+)
 
 
 def evaluate(
@@ -73,24 +82,33 @@ def evaluate(
 ) -> tuple[Float[Array, "n t"], Array]:
     """Psi at `x`, before the projection to N; and whether all of `x` is covered. Traced
     points are compared with all centres, others only with those near them."""
-    concrete = is_concrete(x, basis.centres, basis.widths)
-    near = jnp.asarray(centres_near(basis, np.asarray(x))) if concrete else None
-    return _evaluate(basis, w, x, origin, near)
-
-
-@eqx.filter_jit
-def _evaluate(basis, w, x, origin, near):
+    owner = basis, w, origin
+    if _is_host(owner, x):
+        near = centres_near(basis, np.asarray(x))
+        values, covered = at_each(_psi, owner, x, near)
+        return jax.device_put(values), np.all(covered)
     everywhere = jnp.arange(len(basis.centres))
-    w = w.reshape(len(basis.centres), basis.size, -1)
-
-    def one(x, near=everywhere):
-        values = basis_values(basis, x, near).reshape(len(near), -1)
-        psi = jnp.einsum("lc,lct->t", values, w[near])
-        return origin + psi, cover(basis, x, near) > COVERED
-
-    points = (x,) if near is None else (x, near)
-    values, covered = jax.lax.map(lambda point: one(*point), points, batch_size=256)
+    one = lambda x: _psi(owner, x, everywhere)
+    values, covered = jax.lax.map(one, x, batch_size=256)
     return values, jnp.all(covered)
+
+
+def _is_host(*values) -> bool:
+    return is_concrete(*jax.tree.leaves(values))
+
+
+def _psi(owner, x, near):
+    basis, w, origin = owner
+    w = w.reshape(len(basis.centres), basis.size, -1)
+    values = basis_values(basis, x, near).reshape(len(near), -1)
+    psi = jnp.einsum("lc,lct->t", values, w[near])
+    return origin + psi, cover(basis, x, near) > COVERED
+
+
+def _value(owner, x, near):
+    target, *parts = owner
+    psi, covered = _psi(parts, x, near)
+    return target.project(psi.reshape(target.point_shape)), covered
 
 
 def regression_map(

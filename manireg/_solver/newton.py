@@ -133,13 +133,12 @@ class Newton(optx.AbstractMinimiser):
 
     def step(self, fn, y, args, options, state, tags):
         last, search = state.accepted, state.search
-        f_eval, vjp, aux_eval = jax.vjp(
-            lambda y: fn(y, args), state.y_eval, has_aux=True
-        )
+        # at once: what a gradient needs of the value would pass through a branch, all of it
+        value_and_grad = jax.value_and_grad(lambda y: fn(y, args), has_aux=True)
+        (f_eval, aux_eval), grad = value_and_grad(state.y_eval)
         verdict = search.judge(f_eval, self.patience)
 
         def accepted():
-            (grad,) = vjp(jnp.ones_like(f_eval))
             exact_tried = last.near & ~search.shortened
             kinds = jnp.where(exact_tried, 2, 1)
             kinds = jnp.where(state.over, 1 * jnp.asarray(self.keep_model), kinds)

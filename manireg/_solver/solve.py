@@ -6,16 +6,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
+from .._objective.arguments import argument
 from .._objective.hessian import exact, gauss_newton
 from .._objective.objective import objective
 from .._objective.problem import Problem
 from .._objective.resolution import warn_where_coarse
 from .._objective.sites import Stage
+from .._programs.program import program
 from .._sources.checks import check_lam, is_concrete
 from .linear import AbstractSolvers, direct_solvers
 from .minimise import Method, minimise, newton_minimiser, stage_of
@@ -84,16 +87,17 @@ def solve(
     _check_options(problem, method, starts, warm, max_steps)
     warn_where_coarse(problem, lam)
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
-    model = _solve(
-        problem,
+    found = _solve(
+        argument(problem),
         lam,
-        tuple(starts),
+        tuple(map(float, starts)),
         warm,
         method or "projected",
         solvers,
-        rtol,
-        max_steps,
+        np.asarray(rtol, float),
+        np.asarray(max_steps),
     )
+    model = regression_map(problem, *found)
     return checked(model, max_steps) if throw else model
 
 
@@ -146,7 +150,7 @@ def _check_options(problem: Problem, method, starts, warm, max_steps: int):
         raise ValueError(f"max_steps: must be at least 1, found {max_steps}.")
 
 
-@eqx.filter_jit
+@program(most=8)
 def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     fixed = jax.lax.stop_gradient(eqx.filter(problem, eqx.is_array))
     fixed = eqx.combine(fixed, problem)
@@ -171,7 +175,7 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     stage = stage_of(problem, lam, found.gamma, method, jax.lax.stop_gradient(found.w))
     w = _implicit(stage, found.w, solvers)
     _, energies = objective(w, stage)
-    return regression_map(problem, w, lam, energies, found.result, found.stats)
+    return w, lam, energies, found.result, found.stats
 
 
 def _followed(problem, lam, lane, method, solvers, rtol, max_steps):

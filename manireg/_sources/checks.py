@@ -3,11 +3,13 @@
 import warnings
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from .._input.numbers import Numbers, as_numbers, numbers_and_unit
+from .._input.precision import as_scalar
 from .._input.shown import shown
 from .._source import AbstractSource
 from ..manifolds import AbstractManifold, PointCloud
@@ -50,7 +52,7 @@ def check_inputs(source: AbstractSource, x) -> tuple[Array, bool]:
         x, unit = _numbers_of("x", source, x)
         single = x.shape == shape
         x = x[None] if single else x
-        return jnp.asarray(_checked("x", source, x, unit)), single
+        return jax.device_put(_checked("x", source, x, unit)), single
     x = jnp.asarray(x, float)
     single = x.shape == shape
     x = x[None] if single else _as_batch(x, shape)
@@ -82,10 +84,12 @@ def check_data(source: AbstractSource, target: AbstractManifold, x, y, weights):
             f"x: {distinct} distinct inputs{of_weight} are too few; a source of dimension "
             f"{source.dim} needs at least {least}."
         )
-    y = projected(target, jnp.asarray(y).reshape(-1, *target.point_shape))
+    y = projected(target, y.reshape(-1, *target.point_shape))
     if text := target.doubt(np.asarray(y)):
         warnings.warn(f"y: {text}", stacklevel=3)
-    return jnp.asarray(x), y.reshape(len(x), -1), jnp.asarray(weights)
+    # copies: the arrays of the user may change
+    y = np.asarray(y).reshape(len(x), -1)
+    return jax.device_put((np.array(x), np.array(y), np.array(weights)))
 
 
 def check_source(source: AbstractSource):
@@ -113,7 +117,7 @@ def check_landmarks(
 ) -> np.ndarray:
     """The points of the surface closest to `positions`, which may lie up to a hundredth
     of its size away."""
-    landed = np.asarray(projected(surface, jnp.asarray(positions)))
+    landed = np.asarray(projected(surface, positions))
     gap = np.linalg.norm(landed - positions, axis=1)
     size = np.linalg.norm(np.ptp(np.asarray(surface.points), axis=0))
     if gap.max() > 1e-2 * size:
@@ -157,7 +161,7 @@ def check_positive(name: str, value: Numbers, demand: str, cure: str) -> Array:
         raise ValueError(f"{name}: expected one number, found shape {value.shape}.")
     if is_concrete(value):
         _refuse_other_than_positive(name, value.ravel(), demand, cure)
-    return jnp.asarray(value, float).reshape(())
+    return as_scalar(value).reshape(())
 
 
 def check_grid(name: str, values: Numbers, demand: str, cure: str) -> np.ndarray:

@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -57,9 +58,10 @@ class Circle(AbstractSource):
 
     def to_ambient(self, x: Float[Any, " k"]) -> Float[Array, "k 2"]:
         r"""$r (\cos(x/r), \sin(x/r))$, $2\pi r$ the period."""
-        angle = 2 * np.pi * jnp.mod(x, self.period) / self.period
+        numpy = jnp if isinstance(x, jax.Array) else np  # that of x
+        angle = 2 * np.pi * numpy.mod(x, self.period) / self.period
         radius = self.period / (2 * np.pi)
-        return radius * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+        return radius * numpy.stack([numpy.cos(angle), numpy.sin(angle)], axis=-1)
 
     def from_ambient(self, p: Float[Any, "k 2"]) -> Float[Array, " k"]:
         """On the branch from -`period`/2 to `period`/2."""

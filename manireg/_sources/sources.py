@@ -5,13 +5,13 @@ import math
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
 from .._input.numbers import Numbers, numbers_and_unit
 from .._input.shown import listed
-from .._source import AbstractSource, Chart
+from .._source import AbstractSource, Chart, itself
 from ..manifolds import AbstractManifold
 
 
@@ -28,7 +28,7 @@ class AbstractBounded(AbstractSource):
         return True
 
     def chart(self, around: np.ndarray | None) -> Chart:
-        return Chart(*self.bounds, (False,) * self.dim, lambda u: u)
+        return Chart(*self.bounds, (False,) * self.dim, itself)
 
     def outside(self, x: Float[Any, "k ..."]) -> Bool[Any, " k"]:
         lower, upper = self.bounds
@@ -134,7 +134,8 @@ class Ambient(AbstractSource):
     def directions(self, frames, second_forms):
         """All of them, flat."""
         Q, s, _ = frames.shape
-        return jnp.broadcast_to(jnp.eye(s), (Q, s, s)), jnp.zeros((Q, s, s, s))
+        every, flat = np.broadcast_to(np.eye(s), (Q, s, s)), np.zeros((Q, s, s, s))
+        return jax.device_put((every, flat))
 
     def check_points(self, name: str, x: np.ndarray, unit: str = "") -> None:
         self.manifold.check_points(name, x, unit)

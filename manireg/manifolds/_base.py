@@ -111,7 +111,7 @@ class AbstractManifold(AbstractSource):
         """Raises ValueError if points `(k, *point_shape)` lie off the manifold."""
         check_on(name, self, x)
 
-    def parts(self, *arrays: Array) -> "list[tuple]":
+    def parts(self, *arrays: Any) -> "list[tuple]":
         """The independent parts: `(label, part, *arrays)`, arrays `(k, *point_shape)` cut
         to each; here one."""
         return [(type(self).__name__, self, *arrays)]

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from .._algebra.smooth import (
@@ -100,14 +101,13 @@ class Cylinder(AbstractManifold):
     def chart(self, around: np.ndarray | None) -> Chart:
         """Angle and height, cut to the data."""
         low, high = bounding_box(self, None if around is None else around[:, 2:])
-
-        def embed(u):
-            return jnp.array(
-                [self.radius * jnp.cos(u[0]), self.radius * jnp.sin(u[0]), u[1]]
-            )
-
+        embed = Partial(_embed, np.asarray(self.radius, float))
         ends = np.append(0.0, low), np.append(2 * np.pi, high)
         return Chart(*ends, (True, False), embed)
+
+
+def _embed(radius, u):
+    return jnp.array([radius * jnp.cos(u[0]), radius * jnp.sin(u[0]), u[1]])
 
 
 _PLANE = np.array([1.0, 1.0, 0.0])  # keeps (x, y), drops z

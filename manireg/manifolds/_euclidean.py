@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from .._source import Chart, bounding_box
+from .._source import Chart, bounding_box, itself
 from ._base import AbstractManifold
 
 
@@ -65,4 +65,4 @@ class Euclidean(AbstractManifold):
     def chart(self, around: np.ndarray | None) -> Chart:
         """The bounding box of the data."""
         low, high = bounding_box(self, around)
-        return Chart(low, high, (False,) * self.dim, lambda u: u)
+        return Chart(low, high, (False,) * self.dim, itself)

@@ -1,9 +1,12 @@
 """The flat torus: periodic data, with the energies of flat space."""
 
 import equinox as eqx
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from .._algebra.smooth import (
@@ -58,7 +61,7 @@ class FlatTorus(AbstractManifold):
 
     def _circles(self, p: Array) -> tuple[Array, Array]:
         """The points `(..., n, 2)` on the n circles, and the radii `(n, 1)`."""
-        radii = jnp.broadcast_to(jnp.asarray(self.radii), (self.dim,))
+        radii = jnp.broadcast_to(jnp.asarray(self.radii, float), (self.dim,))
         return p.reshape(*p.shape[:-1], self.dim, 2), radii[:, None]
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -118,16 +121,11 @@ class FlatTorus(AbstractManifold):
 
     def chart(self, around: np.ndarray | None) -> Chart:
         r"""$(\theta_1, .., \theta_n)$."""
-        radii = jnp.broadcast_to(jnp.asarray(self.radii), (self.dim,))
-
-        def embed(u):
-            circles = radii * jnp.stack([jnp.cos(u), jnp.sin(u)])
-            return circles.T.ravel()
-
+        radii = jnp.broadcast_to(jnp.asarray(self.radii, float), (self.dim,))
         turn = np.full(self.dim, 2 * np.pi)
-        return Chart(0 * turn, turn, (True,) * self.dim, embed)
+        return Chart(0 * turn, turn, (True,) * self.dim, Partial(_embed, radii))
 
-    def parts(self, *arrays: Array) -> "list[tuple]":
+    def parts(self, *arrays: Any) -> "list[tuple]":
         """Circles: a wide one has no say in how close to a small one is close."""
         radii = np.broadcast_to(np.asarray(self.radii), self.dim)
         return [
@@ -138,3 +136,7 @@ class FlatTorus(AbstractManifold):
             )
             for i, radius in enumerate(radii)
         ]
+
+
+def _embed(radii, u):
+    return (radii * jnp.stack([jnp.cos(u), jnp.sin(u)])).T.ravel()

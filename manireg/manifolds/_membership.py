@@ -1,10 +1,11 @@
 """Whether data lie on a manifold: each factor of a product by its own size."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+
+from .._programs.sizes import at_each
 
 ON_MANIFOLD = 1e-6  # allowed distance of data to a manifold, in its smallest radii
 ROUNDING = 64 * np.finfo(float).eps  # of coordinates, passed without another look
@@ -14,10 +15,16 @@ def is_concrete(*values) -> bool:
     return not any(isinstance(v, Tracer) for v in values)
 
 
-@eqx.filter_jit
 def projected(space, points):
-    """Closest points, compiled once a shape: iterations recompile outside of `jit`."""
-    return space.project(points)
+    """Closest points: one by one, so that programs do not depend on how many they are
+    (nor are compiled again at every call, as loops are outside of `jit`)."""
+    if not is_concrete(points, *jax.tree.leaves(space)):
+        return space.project(points)
+    return jax.device_put(at_each(_project, space, points))
+
+
+def _project(space, p):
+    return space.project(p)
 
 
 def check_on(name: str, space, points):
@@ -25,8 +32,8 @@ def check_on(name: str, space, points):
     if not is_concrete(*jax.tree.leaves(space)):
         return
     with jax.ensure_compile_time_eval():  # under `jit`, too: these points are known
-        here = jnp.asarray(points)
-        parts = space.parts(here, projected(space, here) - here)
+        here = np.asarray(points)
+        parts = space.parts(here, np.asarray(projected(space, here)) - here)
     for label, part, here, gap in parts:
         _check_near(name, label, part, np.asarray(here), np.asarray(gap))
 

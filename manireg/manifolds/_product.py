@@ -3,9 +3,12 @@
 import math
 from collections.abc import Sequence
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from .._source import Atlas
@@ -47,7 +50,7 @@ class Product(AbstractManifold):
         radii = [jnp.asarray(f.injectivity_radius) for f in self.factors]
         return jnp.min(jnp.stack(radii))
 
-    def split(self, p: Float[Array, "..."]) -> tuple[Float[Array, "..."], ...]:
+    def split(self, p: Float[Any, "..."]) -> tuple[Float[Any, "..."], ...]:
         """The factors' points (or vectors), each `(..., *factor.point_shape)`."""
         parts, start = [], 0
         for factor in self.factors:
@@ -118,7 +121,7 @@ class Product(AbstractManifold):
     ) -> "Sequence[tuple[AbstractManifold, np.ndarray | None]]":
         if around is None:
             return [(factor, None) for factor in self.factors]
-        parts = map(np.asarray, self.split(jnp.asarray(around)))
+        parts = map(np.asarray, self.split(np.asarray(around)))
         flat = [part.reshape(len(part), -1) for part in parts]
         return list(zip(self.factors, flat, strict=True))
 
@@ -128,7 +131,7 @@ class Product(AbstractManifold):
         known = [atlas for atlas in atlases if atlas is not None]
         return _product_atlas(known) if len(known) == len(atlases) else None
 
-    def parts(self, *arrays: Array) -> "list[tuple]":
+    def parts(self, *arrays: Any) -> "list[tuple]":
         parts = zip(self.factors, *map(self.split, arrays), strict=True)
         return [
             (f"factor {i}, {label}", *inner)
@@ -138,7 +141,7 @@ class Product(AbstractManifold):
 
     def doubt(self, points: np.ndarray) -> str | None:
         """The first of the factors' doubts."""
-        parts = zip(self.factors, self.split(jnp.asarray(points)), strict=True)
+        parts = zip(self.factors, self.split(np.asarray(points)), strict=True)
         found = [
             (i, factor.doubt(np.asarray(part)))
             for i, (factor, part) in enumerate(parts)
@@ -152,12 +155,15 @@ def _product_atlas(atlases: list[Atlas]) -> Atlas:
     in_u = np.cumsum([a.lower.shape[1] for a in atlases])[:-1]
     in_label = np.cumsum([a.labels.shape[1] for a in atlases])[:-1]
 
-    def embed(u, label):
-        each = zip(atlases, jnp.split(u, in_u), jnp.split(label, in_label))
-        return jnp.concatenate([a.embed(v, own) for a, v, own in each])
-
+    embeds = tuple(a.embed for a in atlases)
+    embed = Partial(_embed_each, embeds, tuple(in_u.tolist()), tuple(in_label.tolist()))
     lower, upper, labels = (
         join([getattr(a, name) for a in atlases])
         for name in ("lower", "upper", "labels")
     )
     return Atlas(lower, upper, labels, embed)
+
+
+def _embed_each(embeds, in_u, in_label, u, label):
+    each = zip(embeds, jnp.split(u, in_u), jnp.split(label, in_label))
+    return jnp.concatenate([embed(v, own) for embed, v, own in each])

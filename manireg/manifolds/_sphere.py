@@ -52,7 +52,7 @@ class Sphere(AbstractManifold):
         r"""$r p / |p|$. At the origin, the medial axis, all points are as close: there
         it is the one on the first axis, without derivatives."""
         p = off_zero(p)
-        return p * (self.radius / jnp.linalg.norm(p, axis=-1, keepdims=True))
+        return p * (self.radius * jax.lax.rsqrt(norm_squared(p)))[..., None]
 
     def tangent_projection(
         self, p: Float[Array, "..."], v: Float[Array, "..."]

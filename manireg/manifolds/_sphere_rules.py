@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import ScalarLike
 from scipy.special import roots_gegenbauer
 
@@ -12,10 +13,12 @@ Rule = tuple[np.ndarray, np.ndarray]
 
 
 def circle(radius: ScalarLike) -> Chart:
-    def embed(u):
-        return jnp.stack([jnp.cos(u[0]), jnp.sin(u[0])]) * radius
-
+    embed = Partial(_on_circle, np.asarray(radius, float))
     return Chart(np.zeros(1), np.array([2 * np.pi]), (True,), embed)
+
+
+def _on_circle(radius, u):
+    return jnp.stack([jnp.cos(u[0]), jnp.sin(u[0])]) * radius
 
 
 def cube(dim: int, radius: ScalarLike) -> Atlas:
@@ -24,12 +27,15 @@ def cube(dim: int, radius: ScalarLike) -> Atlas:
     turns = [np.roll(np.eye(s), i, axis=1) for i in range(s)]
     labels = np.stack([sign * turn.ravel() for turn in turns for sign in (1.0, -1.0)])
 
-    def embed(u, label):
-        on_face = jnp.append(1.0, jnp.tan(u)) @ label.reshape(s, s)
-        return radius * on_face / jnp.sqrt(jnp.sum(on_face**2))
-
     corner = np.full((2 * s, dim), np.pi / 4)
+    embed = Partial(_on_face, np.asarray(radius, float))
     return Atlas(-corner, corner, labels, embed)
+
+
+def _on_face(radius, u, label):
+    s = len(u) + 1
+    on_face = jnp.append(1.0, jnp.tan(u)) @ label.reshape(s, s)
+    return radius * on_face / jnp.sqrt(jnp.sum(on_face**2))
 
 
 def fibonacci(n: int, radius: ScalarLike) -> Rule:

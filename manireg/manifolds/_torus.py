@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from .._algebra.smooth import norm_squared, off_zero
@@ -128,11 +129,10 @@ class Torus(AbstractManifold):
 
     def chart(self, around: np.ndarray | None) -> Chart:
         r"""$(\varphi, \theta)$."""
-
-        def embed(u):
-            rho = self.R + self.r * jnp.cos(u[1])
-            return jnp.array(
-                [rho * jnp.cos(u[0]), rho * jnp.sin(u[0]), self.r * jnp.sin(u[1])]
-            )
-
+        embed = Partial(_embed, np.asarray(self.R, float), np.asarray(self.r, float))
         return Chart(np.zeros(2), np.full(2, 2 * np.pi), (True, True), embed)
+
+
+def _embed(R, r, u):
+    rho = R + r * jnp.cos(u[1])
+    return jnp.array([rho * jnp.cos(u[0]), rho * jnp.sin(u[0]), r * jnp.sin(u[1])])

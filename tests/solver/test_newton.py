@@ -2,36 +2,36 @@
 
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 import optimistix as optx
 import pytest
 
-from manireg._solver.newton import Newton
+from manireg._solver.newton import Direction, Newton
 
 A = jnp.array([[2.0, 0.5], [0.5, 1.0]])
 START = jnp.array([3.0, -4.0])
 
 
+def newton(model, exact, rtol, atol, **options) -> Newton:
+    """With dense Hessians, functions of y."""
+
+    def direction(use_exact, y, args, gradient, last):
+        hessian = jnp.where(use_exact, exact(y), model(y))
+        factor = jnp.linalg.cholesky(hessian)  # not a number if indefinite
+        step = -jax.scipy.linalg.cho_solve((factor, True), gradient)
+        return Direction(step, jnp.all(jnp.isfinite(step)), ())
+
+    return Newton(rtol=rtol, atol=atol, direction=direction, **options)
+
+
 def counts(share: float, exact_share: float = 1.0, **options) -> dict:
     """Of y^T A y / 2 when the model takes `share` of its curvature for all, the exact
     Hessian `exact_share`."""
-
-    def hessian(share):
-        return lx.MatrixLinearOperator(share * A, lx.positive_semidefinite_tag)
-
-    descent = optx.NewtonDescent(linear_solver=lx.Cholesky())
-    newton = Newton(
-        rtol=0.0,
-        atol=1e-12,
-        model_hessian=lambda y, args: hessian(share),
-        exact_hessian=lambda y, args, last: hessian(exact_share),
-        model_descent=descent,
-        exact_descent=descent,
-        **options,
+    solver = newton(
+        lambda y: share * A, lambda y: exact_share * A, 0.0, 1e-12, **options
     )
     energy = lambda y, args: 0.5 * y @ A @ y
-    solution = optx.minimise(energy, newton, START)
+    solution = optx.minimise(energy, solver, START, max_steps=None)
     np.testing.assert_allclose(solution.value, 0.0, atol=1e-5)
     return solution.stats
 
@@ -66,23 +66,9 @@ def test_after_an_exact_step_too_long_the_model_goes_on():
 
 def minimum(energy, start, model, exact, **options):
     """Solution of `optx.minimise` with dense Hessians."""
-
-    def operator(hessian):
-        tag = lx.positive_semidefinite_tag
-        return lambda y, args, *_: lx.MatrixLinearOperator(hessian(y), tag)
-
-    descent = optx.NewtonDescent(linear_solver=lx.Cholesky())
-    newton = Newton(
-        rtol=1e-12,
-        atol=1e-14,
-        model_hessian=operator(model),
-        exact_hessian=operator(exact),
-        model_descent=descent,
-        exact_descent=descent,
-        **options,
-    )
+    solver = newton(model, exact, 1e-12, 1e-14, **options)
     return optx.minimise(
-        lambda y, args: energy(y), newton, start, max_steps=200, throw=False
+        lambda y, args: energy(y), solver, start, max_steps=None, throw=False
     )
 
 

@@ -8,13 +8,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._algebra.small import eigh
+from ..._programs.sizes import at_each
 from .._base import AbstractManifold
 
 
 def tangent_frames(source: AbstractManifold, points) -> np.ndarray:
     """Orthonormal frames (Q, s, m) of the tangent spaces at the flattened points."""
-    batch = jnp.asarray(points).reshape(-1, *source.point_shape)
-    return np.asarray(frames_at(source, batch))
+    batch = np.asarray(points).reshape(-1, *source.point_shape)
+    return at_each(_frame_at, source, batch)
+
+
+def _frame_at(source: AbstractManifold, p: Float[Array, "..."]) -> Float[Array, "s m"]:
+    return frames_at(source, p[None])[0]
 
 
 def frames_at(
@@ -29,7 +34,7 @@ def frames_at(
     return eigh(symmetric)[1][:, :, s - source.dim :]
 
 
-def complete_frames(frames: Float[Array, "K s m"]) -> Float[Array, "K s s"]:
+def complete_frames(frames: Float[np.ndarray, "K s m"]) -> Float[np.ndarray, "K s s"]:
     """Tangent frames followed by an orthonormal basis of the normal space."""
-    normals = jnp.linalg.qr(frames, mode="complete")[0][:, :, frames.shape[-1] :]
-    return jnp.concatenate([frames, normals], axis=-1)
+    normals = np.linalg.qr(frames, mode="complete")[0][:, :, frames.shape[-1] :]
+    return np.concatenate([frames, normals], axis=-1)

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from ..._source import Chart, bounding_box
@@ -114,8 +115,8 @@ class SymmetricPositiveDefinite(AbstractManifold):
         """Flat: orthonormal coordinates of the linear span, cut to the data."""
         basis = tangent_frames(self, np.zeros((1, self.n**2)))[0]
         low, high = bounding_box(self, None if around is None else around @ basis)
-        span = jnp.asarray(basis)
-        return Chart(low, high, (False,) * self.dim, lambda u: span @ u)
+        span = Partial(jnp.matmul, jnp.asarray(basis))
+        return Chart(low, high, (False,) * self.dim, span)
 
     def doubt(self, points: np.ndarray) -> str | None:
         """Matrices in place of their logarithms."""

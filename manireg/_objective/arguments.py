@@ -1,0 +1,38 @@
+"""A problem as compiled programs see it."""
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, PyTree
+
+from .._programs.sizes import bucket, filled
+from .._sources.checks import is_concrete
+from .problem import Problem
+
+
+def argument(problem: Problem) -> Problem:
+    """The same without what programs do not read, filled up with data of weight 0, so that
+    problems of similar size share them. Of one that is traced the data stay as they are."""
+    problem = eqx.tree_at(lambda p: (p.source, p.x), problem, (None, None))
+    if not is_concrete(*jax.tree.leaves(problem)):
+        return problem
+    size = bucket(len(problem.y))
+    more = lambda a: jax.device_put(filled(a, size))
+    weights = np.zeros(size)
+    weights[: len(problem.y)] = problem.weights
+    terms = [
+        (term, jax.tree.map(more, args) if term.place == "data" else args)
+        for term, args in problem.terms
+    ]
+    changed = more(problem.y), jax.device_put(weights), tuple(terms)
+    return eqx.tree_at(lambda p: (p.y, p.weights, p.terms), problem, changed)
+
+
+def of_data(array: Array, size: int) -> np.ndarray:
+    """An array with an entry for each datum, filled up like the problem's."""
+    return filled(array, bucket(size))
+
+
+def on_host(tree: PyTree) -> PyTree:
+    """Its arrays as NumPy's, for formulas that are not worth a program."""
+    return jax.tree.map(np.asarray, tree)

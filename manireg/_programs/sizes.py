@@ -1,0 +1,50 @@
+"""Sizes that arrays are filled up to, so that those of similar size share programs."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PyTree
+
+from .program import program
+
+ROWS = 4096  # at most, of a program that works row by row
+FEWEST_ROWS = 16
+
+
+def bucket(n: int) -> int:
+    """The next of 1, 2, 3, 4, 6, 8, 12, 16, 24, ...: powers of two and the middles
+    between them, a quarter larger than n on average and half at worst."""
+    power = 1 << max(n - 1, 0).bit_length()
+    return power * 3 // 4 if n <= power * 3 // 4 else power
+
+
+def filled(array: Any, size: int) -> np.ndarray:
+    """`size` rows, the last ones repeating the first."""
+    array = np.asarray(array)
+    more = np.broadcast_to(array[:1], (size - len(array), *array.shape[1:]))
+    return np.concatenate([array, more])
+
+
+def at_each(
+    function: Callable, owner: PyTree, *arrays: Any, most: int = ROWS
+) -> PyTree:
+    """`function(owner, *rows)` for every row of the arrays, stacked, as NumPy arrays. Of
+    few sizes of programs: up to `most` rows at a time, a power of four. `function` has to
+    be the same object at every call, or it is compiled again."""
+    n = len(arrays[0])
+    size = FEWEST_ROWS
+    while size < min(n, most):
+        size *= 4
+    parts = []
+    for start in range(0, max(n, 1), size):
+        rows = [filled(np.asarray(a)[start : start + size], size) for a in arrays]
+        parts.append(jax.tree.map(np.asarray, _rows(function, owner, *rows)))
+    return jax.tree.map(lambda *a: np.concatenate(a)[:n], *parts)
+
+
+@program(most=64)
+def _rows(function, owner, *arrays):
+    return jax.vmap(lambda *rows: function(owner, *rows))(*map(jnp.asarray, arrays))
