@@ -13,7 +13,7 @@ from .._objective.patches import moved, patches_near
 from .._objective.problem import Problem
 from .._objective.sites import Stage
 from .linear import AbstractSolvers
-from .minimum import Minimum, newton_solve, nothing
+from .minimum import Minimum, newton_solve, unsolved
 from .newton import Newton, add_counts
 from .penalty_path import penalty_path
 
@@ -97,10 +97,6 @@ def _rounds(newton: Newton, stage: Stage, w0) -> Minimum:
     steps = jnp.minimum(ROUND_STEPS, max_steps)
     newton = eqx.tree_at(lambda n: n.max_trials, newton, steps)
 
-    def solve_round(w, patches):
-        here = eqx.tree_at(lambda s: s.patches, stage, patches)
-        return newton_solve(newton, here, w)
-
     def unfinished(carry):
         rounds, found, _ = carry
         allowed = (rounds < ROUNDS) & (found.stats["num_trials"] + steps <= max_steps)
@@ -109,7 +105,8 @@ def _rounds(newton: Newton, stage: Stage, w0) -> Minimum:
 
     def next_round(carry):
         rounds, before, patches = carry
-        found = solve_round(before.w, patches)
+        here = eqx.tree_at(lambda s: s.patches, stage, patches)
+        found = newton_solve(newton, here, before.w)
         renewed = patches_near(stage.problem, found.w, patches, rounds + 1)
         assert renewed is not None
         done = found.result == optx.RESULTS.successful
@@ -119,7 +116,5 @@ def _rounds(newton: Newton, stage: Stage, w0) -> Minimum:
         stats = add_counts(found.stats, before.stats)
         return rounds + 1, found._replace(result=result, stats=stats), renewed
 
-    start = nothing(solve_round, w0, stage.patches)._replace(w=w0)
-    carry = jnp.array(0), start, stage.patches
-    rounds, found, _ = jax.lax.while_loop(unfinished, next_round, carry)
-    return found._replace(stats={**found.stats, "num_rounds": rounds})
+    carry = jnp.array(0), unsolved(stage, w0), stage.patches
+    return jax.lax.while_loop(unfinished, next_round, carry)[1]

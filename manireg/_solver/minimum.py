@@ -1,12 +1,10 @@
 """One Newton solve, and what it ends in."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.tree_util as jtu
 import optimistix as optx
 from jaxtyping import Array, Float, ScalarLike
 
@@ -31,21 +29,36 @@ class Minimum(NamedTuple):
 
 
 def newton_solve(newton: Newton, stage: Stage, w: Float[Array, "KC t"]) -> Minimum:
+    newton = eqx.tree_at(lambda n: n.model, newton, _no_model(stage, w))
     solution = optx.minimise(
         objective, newton, w, stage, has_aux=True, max_steps=None, throw=False
     )
-    stats = dict(solution.stats)
-    del stats["max_steps"]
-    stats["num_steps"] = stats["num_trials"]
-    model, total = stats.pop("model"), stats.pop("objective")
+    stats = solution.stats
+    stats = {
+        "num_newton_steps": stats["num_newton_steps"],
+        "num_trials": stats["num_trials"],
+        "num_steps": stats["num_trials"],
+        "num_rounds": jnp.array(1),
+        "decrease": stats["decrease"],
+    }
+    model, total = solution.stats["model"], solution.stats["objective"]
     found = solution.value, stage.gamma, total, solution.aux, solution.result
     return Minimum(*found, stats, model)
 
 
-def nothing(solve: Callable[..., Minimum], *args) -> Minimum:
-    """What `solve(*args)` will give, of zeros: a loop that starts with it has one copy of
-    the solve in its program."""
-    shapes = eqx.filter_eval_shape(solve, *args)
-    is_shape = lambda a: isinstance(a, jax.ShapeDtypeStruct)
-    zeros = lambda a: jnp.zeros(a.shape, a.dtype) if is_shape(a) else a
-    return jtu.tree_map(zeros, shapes, is_leaf=is_shape)
+def unsolved(stage: Stage, w: Float[Array, "KC t"]) -> Minimum:
+    """Nothing but a start: loops over solves begin with it, and their programs have one
+    copy of the solve."""
+    _, energies = jax.eval_shape(objective, w, stage)
+    energies = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), energies)
+    count, number = jnp.array(0), jnp.zeros((), w.dtype)
+    names = "num_newton_steps", "num_trials", "num_steps", "num_rounds"
+    stats = {**dict.fromkeys(names, count), "decrease": number}
+    result = optx.RESULTS.nonlinear_max_steps_reached
+    return Minimum(w, number, number, energies, result, stats, _no_model(stage, w))
+
+
+def _no_model(stage: Stage, w: Float[Array, "KC t"]) -> SparseSymmetric:
+    pattern = stage.problem.pattern
+    b = pattern.functions * w.shape[1]
+    return SparseSymmetric(jnp.zeros((len(pattern.rows), b, b)), pattern)

@@ -75,6 +75,8 @@ class Newton(optx.AbstractMinimiser):
       the exact Hessian, tried once the predicted decrease has come below `near |f|`, and
       taken if it points downhill. Where such a step has to be shortened, the minimum is
       flat or not near yet: the model goes on until the decrease is `retry` times smaller.
+    - `model`: of the form that `direction` gives and takes, of any numbers: the first
+      direction is a model's.
     - `certify`: stop only where the exact Hessian is positive definite. A stationary point
       where it is not is left with a kick of `KICK` times the size of y.
     - `keep_model`: end with the model at the very point that is returned, as
@@ -92,6 +94,7 @@ class Newton(optx.AbstractMinimiser):
     rtol: ScalarLike
     atol: ScalarLike
     direction: Callable[..., Direction]
+    model: PyTree = ()
     norm: Callable[[Any], Scalar] = optx.max_norm
     noise: ScalarLike = 0.0
     certify: ScalarLike = False
@@ -106,8 +109,6 @@ class Newton(optx.AbstractMinimiser):
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
         zero, false = jnp.zeros((), f_struct.dtype), jnp.array(False)
-        start = lambda y: self.direction(false, y, args, y, None)
-        direction = _zeros(eqx.filter_eval_shape(start, y))
         return _NewtonState(
             y_eval=y,
             search=Watchdog.at(y, f_struct.dtype),
@@ -116,10 +117,10 @@ class Newton(optx.AbstractMinimiser):
                 f=zero,
                 grad=jtu.tree_map(jnp.zeros_like, y),
                 aux=_zeros(aux_struct),
-                step=direction.step,
+                step=jtu.tree_map(jnp.zeros_like, y),
                 stretch=jnp.ones_like(zero),
                 decrease=zero,
-                model=direction.model,
+                model=self.model,
                 near=false,
                 threshold=jnp.asarray(self.near, f_struct.dtype),
                 saddle=false,
@@ -266,7 +267,7 @@ class Newton(optx.AbstractMinimiser):
 
 def add_counts(stats: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
     """`stats` of a solve, with the steps of one before it."""
-    counts = ("num_newton_steps", "num_trials", "num_steps")
+    counts = ("num_newton_steps", "num_trials", "num_steps", "num_rounds")
     return {**stats, **{name: stats[name] + before[name] for name in counts}}
 
 

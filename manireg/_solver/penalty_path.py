@@ -8,7 +8,7 @@ from .._objective.energies import Eells
 from .._objective.objective import objective
 from .._objective.problem import Problem
 from .._objective.sites import Stage
-from .minimum import Minimum, newton_solve, nothing
+from .minimum import Minimum, newton_solve, unsolved
 from .newton import Newton, add_counts
 
 MARGIN = 50.0  # gamma_0 in units of (L + lambda S) / (vol(M) reach^2): smaller ones let
@@ -43,6 +43,5 @@ def penalty_path(problem: Problem, lam, w0, newton: Newton) -> Minimum:
         new_gap = found.energies.off_manifold
         return stages + 1, found, new_gap, new_gap < 0.5 * gap
 
-    start = nothing(minimise, w0, gamma)._replace(w=w0)
-    carry = jnp.array(0), start, jnp.asarray(jnp.inf), jnp.array(True)
+    carry = jnp.array(0), unsolved(on_target, w0), jnp.array(jnp.inf), jnp.array(True)
     return jax.lax.while_loop(unfinished, next_stage, carry)[1]

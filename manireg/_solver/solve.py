@@ -22,7 +22,7 @@ from .._programs.program import program
 from .._sources.checks import check_lam, is_concrete
 from .linear import AbstractSolvers, direct_solvers
 from .minimise import Method, minimise, newton_minimiser, stage_of
-from .minimum import nothing
+from .minimum import unsolved
 from .model import RegressionMap, regression_map
 from .newton import add_counts
 from .starts import STRIDE, starts_of
@@ -199,7 +199,7 @@ def _followed(problem, lam, lane, method, solvers, rtol, max_steps):
         return now, found._replace(stats=add_counts(found.stats, before.stats))
 
     # the first lambda is that of a step taken from nowhere: one program serves all
-    start = (first / STRIDE, nothing(solve_at, lam, w)._replace(w=w))
+    start = first / STRIDE, unsolved(stage_of(problem, lam, 0.0, method, w), w)
     return jax.lax.while_loop(on_the_way, go_on, start)[1]
 
 
