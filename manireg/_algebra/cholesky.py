@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import sparsax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .banded import solve_banded
-from .sparse import SparseSymmetric
+from .sparse import SparseSymmetric, SparsityPattern
 
 RIDGES = (1e-14, 1e-12, 1e-10)  # times the diagonal, tried in turn
 LEAST = 1e-14  # times the largest number on the diagonal: what is less is zero
@@ -36,8 +36,14 @@ class AbstractDirect(lx.AbstractLinearSolver):
 
 
 class SparseCholesky(AbstractDirect):
-    """CHOLMOD; the symbolic analysis is cached per pattern. The operator has to be
-    positive definite up to `ridge`: sparsax raises otherwise."""
+    """CHOLMOD. The operator has to be positive definite up to `ridge`: sparsax raises
+    otherwise. It keeps the analysis and the last factor of each list of indices, and
+    takes that factor where the values are the same. So that fits on several devices do
+    not evict each other's, each device has a list of its own."""
+
+    # Not `sparsax.factor`, whose factors (0.9) are never freed: one a Newton step. After
+    # `set_num_cache_size`, which does not cap but cut them, a token may silently stand for
+    # the factor of another matrix.
 
     ridge: float = 1e-12
 
@@ -47,10 +53,11 @@ class SparseCholesky(AbstractDirect):
         scale = _scale(operator)
         i, j = operator.coordinates()
         values = _regular_blocks(operator, scale, self.ridge)
-        return i.ravel(), j.ravel(), values.ravel(), scale
+        entries = _of_this_device(i.ravel(), j.ravel(), values.ravel(), scale.size)
+        return entries, scale
 
     def compute(self, state, vector, options):
-        i, j, values, scale = state
+        (i, j, values), scale = state
         solution = sparsax.solve(i, j, values, _flat(scale, vector))
         return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
@@ -150,11 +157,30 @@ def _unflat(scale, vector, solution):
 
 def _regular_blocks(operator: SparseSymmetric, scale, ridge: float):
     """Of the scaled matrix, `ridge` added to its diagonal."""
-    scale = scale.reshape(operator.pattern.centres, -1)
-    rows, cols = operator.pattern.rows, operator.pattern.cols
-    blocks = operator.blocks * scale[rows][:, :, None] * scale[cols][:, None, :]
-    own = (rows == cols)[:, None, None]
+    blocks = _scaled(operator.blocks, scale, operator.pattern)
+    own = (operator.pattern.rows == operator.pattern.cols)[:, None, None]
     return blocks + ridge * own * jnp.eye(blocks.shape[-1])
+
+
+def _scaled(blocks: Float[Array, "nnz b b"], scale, pattern: SparsityPattern):
+    scale = scale.reshape(pattern.centres, -1)
+    left, right = scale[pattern.rows], scale[pattern.cols]
+    return blocks * left[:, :, None] * right[:, None, :]
+
+
+def _of_this_device(
+    i: Int[Array, " n"], j: Int[Array, " n"], values: Float[Array, " n"], size: int
+) -> tuple[Int[Array, " n+1"], Int[Array, " n+1"], Float[Array, " n+1"]]:
+    """The same matrix with one more entry, first. It lies below the diagonal, where
+    sparsax ignores values, and its row is the number of the device in a `shard_map`."""
+    axes = tuple(jax.sharding.get_abstract_mesh().manual_axes)
+    device = jax.lax.axis_index(axes) if axes else jnp.array(0)
+    row = (1 + device % (size - 1)).astype(i.dtype)
+    return (
+        jnp.concatenate([row[None], i]),
+        jnp.concatenate([jnp.zeros_like(row)[None], j]),
+        jnp.concatenate([jnp.zeros_like(values[:1]), values]),
+    )
 
 
 def _dense(operator: lx.AbstractLinearOperator):
