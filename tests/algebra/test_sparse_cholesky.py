@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import sparsax
-from block_matrices import PATTERN, SIZES, random_matrix
+from block_matrices import CENTRES, PATTERN, SIZES, random_matrix
 
 from manireg._algebra.cholesky import SparseCholesky
 from manireg._algebra.sparse import SparseSymmetric
@@ -54,12 +54,30 @@ def test_lanes_of_a_vmap():
         np.testing.assert_allclose(lane, expected, atol=1e-10 * size)
 
 
+def test_the_selected_inverse():
+    matrix = random_matrix(0)
+    selected = lambda matrix: SOLVER.selected_inverse(SOLVER.init(matrix, {}))
+    found = np.asarray(eqx.filter_jit(selected)(matrix))
+    by_block = inverse(matrix).reshape(CENTRES, -1, CENTRES, found.shape[-1])
+    expected = by_block.swapaxes(1, 2)[
+        np.asarray(PATTERN.rows), np.asarray(PATTERN.cols)
+    ]
+    # of row i and column j in units of the root of the diagonal entries of both
+    unit = np.sqrt(np.diagonal(inverse(matrix))).reshape(CENTRES, -1)
+    rows, cols = unit[np.asarray(PATTERN.rows)], unit[np.asarray(PATTERN.cols)]
+    error = (found - expected) / (rows[:, :, None] * cols[:, None, :])
+    assert np.abs(error).max() < 1e-9
+    own = found[np.asarray(PATTERN.rows == PATTERN.cols)]
+    np.testing.assert_allclose(own, own.swapaxes(1, 2), rtol=1e-12)
+
+
 def test_an_earlier_factor_is_found_again():
     """As `ModelCG` asks for it at every step."""
     matrix = random_matrix(7)
     solve(matrix, RIGHT)
     before = sparsax.factorization_count()
     solve(matrix, 2 * RIGHT)
+    eqx.filter_jit(SOLVER.selected_inverse)(SOLVER.init(matrix, {}))
     assert sparsax.factorization_count() == before
 
 
