@@ -32,7 +32,7 @@ def newton_iteration(w, stage: Stage, repeats: int) -> tuple[float, float]:
     CHOLMOD's factorisation of that matrix, with its solve, alone. After a first call:
     CHOLMOD's analysis is done once, and its factor kept while the values are the same,
     so they differ."""
-    i, j, values, _ = _system(w, stage)
+    (i, j, values), *_ = _system(w, stage)
     factorise = jax.jit(sparsax.solve)
     side = w.ravel()
     return (

@@ -14,9 +14,10 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import sparsax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .banded import inverse_in_band, solve_banded
+from .covariances import Elements, from_blocks, from_solves
 from .sparse import SparseSymmetric, SparsityPattern
 
 RIDGES = (1e-14, 1e-12, 1e-10)  # times the diagonal, tried in turn
@@ -40,13 +41,22 @@ class AbstractPositive(AbstractDirect):
     """Of positive definite ones."""
 
     @abc.abstractmethod
-    def selected_inverse(self, operator: SparseSymmetric) -> Float[Array, "nnz b b"]:
-        """The inverse where the operator has its blocks, stored as these are."""
+    def covariances(
+        self, operator: SparseSymmetric, elements: Elements
+    ) -> Float[Array, "e p t t"]:
+        """A H^{-1} A^T for the operator H, at each point with the values A that it has in
+        the unknowns: never a whole inverse."""
 
 
 class SparseCholesky(AbstractPositive):
-    """CHOLMOD; the symbolic analysis is cached per pattern. The operator has to be
-    positive definite up to `ridge`: sparsax raises otherwise."""
+    """CHOLMOD. The operator has to be positive definite up to `ridge`: sparsax raises
+    otherwise. It keeps the analysis and the last factor of each list of indices, and
+    takes that factor where the values are the same. So that fits on several devices do
+    not evict each other's, each device has a list of its own."""
+
+    # Not `sparsax.factor`, whose factors (0.9) are never freed: one a Newton step. After
+    # `set_num_cache_size`, which does not cap but cut them, a token may silently stand for
+    # the factor of another matrix.
 
     ridge: float = 1e-12
 
@@ -56,17 +66,19 @@ class SparseCholesky(AbstractPositive):
         scale = _scale(operator)
         i, j = operator.coordinates()
         values = _regular_blocks(operator, scale, self.ridge)
-        return i.ravel(), j.ravel(), values.ravel(), scale
+        entries = _of_this_device(i.ravel(), j.ravel(), values.ravel(), scale.size)
+        return entries, scale, operator.pattern
 
     def compute(self, state, vector, options):
-        i, j, values, scale = state
+        (i, j, values), scale, _ = state
         solution = sparsax.solve(i, j, values, _flat(scale, vector))
         return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
-    def selected_inverse(self, operator):
-        i, j, values, scale = self.init(operator, {})
-        blocks = sparsax.selinv(i, j, values, scale.size).reshape(operator.blocks.shape)
-        return _scaled(blocks, scale, operator.pattern)
+    def covariances(self, operator, elements):
+        state = self.init(operator, {})
+        solve = lambda sides: self.compute(state, sides, {})[0]
+        return from_solves(solve, operator.in_structure().shape, elements)
+
 
 
 class BandCholesky(AbstractPositive):
@@ -91,13 +103,13 @@ class BandCholesky(AbstractPositive):
         solution = jnp.swapaxes(first_finite(solve, RIDGES, rhs)[0], 1, 2)
         return solution.reshape(vector.shape), lx.RESULTS.successful, {}
 
-    def selected_inverse(self, operator: SparseSymmetric) -> Float[Array, "nnz b b"]:
+    def covariances(self, operator, elements):
         pattern = operator.pattern
         columns, size = self.init(operator, {})
         inverse = lambda ridge: inverse_in_band(_ridged(columns, size, ridge))
         found = first_finite(inverse, RIDGES, columns)[0]
         blocks = found[pattern.rows, pattern.cols - pattern.rows]
-        return jnp.swapaxes(blocks, 1, 2)
+        return from_blocks(jnp.swapaxes(blocks, 1, 2), elements)
 
 
 def _ridged(columns: Float[Array, "n band m m"], size, ridge):
@@ -122,12 +134,10 @@ class DenseCholesky(AbstractPositive):
         solution = _unflat(scale, vector, first_finite(solve, RIDGES, rhs)[0])
         return solution, lx.RESULTS.successful, {}
 
-    def selected_inverse(self, operator: SparseSymmetric) -> Float[Array, "nnz b b"]:
-        K, b = operator.pattern.centres, operator.blocks.shape[-1]
-        sides = jnp.eye(K * b).reshape(*operator.in_structure().shape, K * b)
-        whole, _, _ = self.compute(self.init(operator, {}), sides, {})
-        places = operator.pattern.rows, slice(None), operator.pattern.cols
-        return whole.reshape(K, b, K, b)[places]
+    def covariances(self, operator, elements):
+        state = self.init(operator, {})
+        solve = lambda sides: self.compute(state, sides, {})[0]
+        return from_solves(solve, operator.in_structure().shape, elements)
 
 
 def first_finite(
@@ -184,9 +194,25 @@ def _regular_blocks(operator: SparseSymmetric, scale, ridge: float):
     return blocks + ridge * own * jnp.eye(blocks.shape[-1])
 
 
-def _scaled(blocks, scale, pattern: SparsityPattern):
+def _scaled(blocks: Float[Array, "nnz b b"], scale, pattern: SparsityPattern):
     scale = scale.reshape(pattern.centres, -1)
-    return blocks * scale[pattern.rows][:, :, None] * scale[pattern.cols][:, None, :]
+    left, right = scale[pattern.rows], scale[pattern.cols]
+    return blocks * left[:, :, None] * right[:, None, :]
+
+
+def _of_this_device(
+    i: Int[Array, " n"], j: Int[Array, " n"], values: Float[Array, " n"], size: int
+) -> tuple[Int[Array, " n+1"], Int[Array, " n+1"], Float[Array, " n+1"]]:
+    """The same matrix with one more entry, first. It lies below the diagonal, where
+    sparsax ignores values, and its row is the number of the device in a `shard_map`."""
+    axes = tuple(jax.sharding.get_abstract_mesh().manual_axes)
+    device = jax.lax.axis_index(axes) if axes else jnp.array(0)
+    row = (1 + device % (size - 1)).astype(i.dtype)
+    return (
+        jnp.concatenate([row[None], i]),
+        jnp.concatenate([jnp.zeros_like(row)[None], j]),
+        jnp.concatenate([jnp.zeros_like(values[:1]), values]),
+    )
 
 
 def _dense(operator: lx.AbstractLinearOperator):
