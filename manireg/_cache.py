@@ -45,7 +45,8 @@ def cache_programs(
 
     **Returns:** where the programs are. None if JAX's own switch
     (`JAX_ENABLE_COMPILATION_CACHE`) is off, or, with a warning, if the folder cannot be
-    written. A damaged entry is compiled anew, with a warning by JAX.
+    written. Entries that are damaged (after a full disk, say) are compiled anew, with
+    a warning by JAX each time: then delete the folder.
 
     **Raises:** `ValueError` if `size` is negative.
 

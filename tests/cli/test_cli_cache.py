@@ -70,7 +70,7 @@ def test_one_note_for_many_damaged_entries(home, capsys):
 
 @pytest.mark.slow
 def test_the_second_command_compiles_nothing_new(tmp_path):
-    """All that it needs is there: it writes no file, and takes less than half the time."""
+    """All that can be kept was kept: JAX would write what it compiles to a file."""
     t = np.linspace(0, 2, 12)
     rows = np.stack([t, np.cos(t), np.sin(t), 0 * t], axis=-1)
     header = {"header": "t,x,y,z", "comments": "", "delimiter": ","}
@@ -81,14 +81,10 @@ def test_the_second_command_compiles_nothing_new(tmp_path):
         "import sys, manireg as mr; from manireg._cli.app import app;"
         "mr.cache_programs(sys.argv.pop(1)); app()"
     )
-    files, seconds = [], []
+    files = []
     for options in (["--no-cache"], [], []):
         command = [sys.executable, "-c", code, str(folder), *options, *fit.split()]
         environment = os.environ | {"JAX_ENABLE_COMPILATION_CACHE": "true"}
-        before = os.times()
         subprocess.run(command, cwd=tmp_path, env=environment, check=True)
-        after = os.times()
         files.append(sorted(file.name for file in folder.rglob("*-cache")))
-        seconds.append(after.children_user - before.children_user)
     assert not files[0] and len(files[1]) > 50 and files[2] == files[1]
-    assert seconds[2] < seconds[1] / 2
