@@ -9,6 +9,7 @@ from . import (
     meshes as meshes,
     plot as plot,
 )
+from ._cache import cache_programs as cache_programs
 from ._discretisation.domain import Domain as Domain
 from ._geodesics.geodesic import Geodesic as Geodesic, geodesic as geodesic
 from ._objective.energy_of_map import (

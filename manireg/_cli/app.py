@@ -38,7 +38,12 @@ def main() -> None:
 
 
 @app.callback()
-def setup() -> None:
+def setup(
+    cache: Annotated[
+        bool,
+        typer.Option(help="Keep compiled programs for later commands, up to 256 MiB."),
+    ] = True,
+) -> None:
     """Regression between Riemannian manifolds with the Eells energy.
 
     Start with `manireg demo`, then `manireg fit --help` for tables and `manireg register
@@ -48,6 +53,10 @@ def setup() -> None:
     # a device a core, to share the folds; too late where JAX has run in this process
     with contextlib.suppress(RuntimeError):
         jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
+    if not cache:
+        jax.config.update("jax_enable_compilation_cache", False)
+    with clean_errors():
+        mr.cache_programs()
 
 
 @app.command()

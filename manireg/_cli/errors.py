@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax
 import typer
 
 from .. import plot
@@ -49,12 +50,23 @@ def _notes() -> Iterator[None]:
         def show(message, category, *place, **more):
             if not issubclass(category, UserWarning):
                 others(message, category, *place, **more)
-            elif str(message) not in said:
-                said.add(str(message))
-                _say(f"note: {message}", "yellow")
+            elif (note := _note(str(message))) not in said:
+                said.add(note)
+                _say(f"note: {note}", "yellow")
 
         warnings.showwarning = show
         yield
+
+
+def _note(message: str) -> str:
+    # JAX says so for each of some hundred programs
+    if "persistent compilation cache" not in message:
+        return message
+    folder = jax.config.values["jax_compilation_cache_dir"]
+    return (
+        f"{folder}: some compiled programs could not be read or written, so they are "
+        "compiled anew. If this comes again, delete the folder or use manireg --no-cache."
+    )
 
 
 def _say(message: str, colour: str) -> None:
