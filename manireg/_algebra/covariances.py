@@ -44,7 +44,9 @@ def from_blocks(
         own = jnp.sum(each * (i == j)[:, None, None], axis=1)
         return own + off + jnp.swapaxes(off, 1, 2)
 
-    return map_chunks(of_element, elements, CHUNK_BYTES / (8 * len(i) * b * b))
+    points = elements.values.shape[1]
+    size = 8 * len(i) * b * (b + points * b // f)
+    return map_chunks(of_element, elements, CHUNK_BYTES / size)
 
 
 def from_solves(

@@ -11,13 +11,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 from scipy.spatial import KDTree
 
 from .._programs.sizes import at_each, bucket
 from .local_polynomials import COVERED, LocalPolynomials, basis_values
+from .taylor import basis_series
+from .taylor import second_derivative_pairs as second_derivative_pairs
 
-ELEMENTS = 64  # whose jets are taken at a time
+ELEMENTS = 64  # whose values are taken at a time
+AT_A_TIME = 16  # whose jets are
 IN_ELEMENT = 24  # points at most, half to all of it come out; on curves a spacing's
 STEP = 4  # centres; see `_padded`
 
@@ -55,29 +58,29 @@ def bucket_centres(jets: Jets, functions: int) -> list[Int[np.ndarray, "_ _"]]:
     return [near[start:stop, : U // functions] for start, stop, U in jets.buckets]
 
 
-def second_derivative_pairs(m: int) -> list[tuple[int, int]]:
-    """Order of the second derivatives in a jet: (0,0), (0,1), ..., (m-1,m-1)."""
-    return [(a, b) for a in range(m) for b in range(a, m)]
-
-
 def jets_of(
     basis: LocalPolynomials,
-    points: Float[Array, "Q s"],
-    frames: Float[Array, "Q s m"],
-    second_forms: Float[Array, "Q m m s"],
+    points: Float[ArrayLike, "Q s"],
+    frames: Float[ArrayLike, "Q s m"],
+    second_forms: Float[ArrayLike, "Q m m s"],
 ) -> Jets:
     """Full jets of `basis` at `points`. Runs once, on the host."""
     where = np.asarray(points)
     cells = _nearest(basis, where) if basis.dim == 1 else _bisect(where, IN_ELEMENT)
     index, mask, near = _elements(basis, where, cells)
-    geometry = (np.asarray(a)[index] for a in (points, frames, second_forms))
-    matrices = at_each(_jet_rows, basis, *geometry, near, most=ELEMENTS)
+    geometry = tuple(np.asarray(a)[index] for a in (points, frames, second_forms))
+    parts = []
+    for start in range(0, len(near), AT_A_TIME):
+        some = slice(start, start + AT_A_TIME)
+        arrays = (a[some] for a in (*geometry, near))
+        parts.append(basis_series(basis, *arrays))
+    matrices = np.concatenate(parts)
     arrays = jax.device_put((matrices, _columns(basis, near), index, mask))
     return Jets(*arrays, _buckets(near, basis))
 
 
 def value_jets(
-    basis: LocalPolynomials, points: Float[Array, "Q s"], energy_jets: Jets
+    basis: LocalPolynomials, points: Float[ArrayLike, "Q s"], energy_jets: Jets
 ) -> Jets:
     """Values only. Shapes depend on the `bucket` of the number of points and, as far as
     possible, on `energy_jets`, not on where the points lie: new data reuse a compiled
@@ -132,25 +135,6 @@ def _columns(basis: LocalPolynomials, near) -> Int[np.ndarray, "e U"]:
 
 def _value_rows(basis, points, near):
     return jax.vmap(lambda x: basis_values(basis, x, near)[None])(points)
-
-
-def _jet_rows(basis, points, frames, second_forms, near):
-    m = frames.shape[-1]
-    pairs = second_derivative_pairs(m)
-
-    def rows(x, frame, form):
-        def along(u):
-            curve = x + frame @ u + 0.5 * jnp.einsum("a,b,abs->s", u, u, form)
-            return basis_values(basis, curve, near)
-
-        zero = jnp.zeros(m)
-        value, first = along(zero), jax.jacfwd(along)(zero)
-        second = jax.jacfwd(jax.jacfwd(along))(zero)
-        return jnp.stack(
-            [value, *first.T, *(second[:, a, b] for a, b in pairs)], axis=0
-        )
-
-    return jax.vmap(rows)(points, frames, second_forms)
 
 
 def _elements(

@@ -52,6 +52,7 @@ class LocalPolynomials(eqx.Module):
         return _exponents(self.dim, self.centres.shape[1], self.degree)
 
 
+AT_A_TIME = 512  # centres
 DEPENDENT = 1e-6  # what those before leave of a monomial, a number below 1: less may be
 # rounding, as of the normal coordinate on a plane, and stays small
 
@@ -85,21 +86,33 @@ def _orthonormal(centres, frames, widths, exponents, points) -> np.ndarray:
     kernel's weight over the `points` in each support. Host."""
     centres, frames, widths, points = map(np.asarray, (centres, frames, widths, points))
     inside = KDTree(points).query_ball_point(centres, widths)
-    mixing = np.zeros((len(centres), len(exponents), len(exponents)))
-    for i, own in enumerate(inside):
-        offset = (points[own] - centres[i]) / widths[i]
-        weight = np.maximum(1 - np.sum(offset**2, axis=1), 0) ** 6
-        local = offset @ frames[i]
-        values = np.stack([np.prod(local**e, axis=1) for e in exponents], axis=1)
-        weighted = np.sqrt(weight / max(len(own), 1))[:, None] * values
-        # rows of zeros: there may be fewer points than monomials
-        triangle = np.linalg.qr(np.pad(weighted, ((0, len(exponents)), (0, 0))))[1]
-        diagonal = np.arange(len(exponents))
-        own_part = triangle[diagonal, diagonal]
-        sign = np.where(own_part < 0, -1.0, 1.0)
-        triangle[diagonal, diagonal] = sign * np.maximum(np.abs(own_part), DEPENDENT)
-        mixing[i] = np.linalg.inv(triangle)
-    return mixing
+    parts = []
+    for start in range(0, len(centres), AT_A_TIME):
+        some = slice(start, start + AT_A_TIME)
+        own = [np.asarray(found, dtype=int) for found in inside[some]]
+        count = np.array([len(found) for found in own])
+        present = np.arange(max(count.max(), 1)) < count[:, None]
+        index = np.zeros(present.shape, dtype=int)
+        index[present] = np.concatenate(own)
+        offset = (points[index] - centres[some, None]) / widths[some, None, None]
+        weight = np.maximum(1 - np.sum(offset**2, axis=2), 0) ** 6 * present
+        local = offset @ frames[some]
+        values = np.stack([np.prod(local**e, axis=2) for e in exponents], axis=2)
+        share = np.sqrt(weight / np.maximum(count, 1)[:, None])
+        parts.append(_triangular(share[:, :, None] * values))
+    return np.concatenate(parts)
+
+
+def _triangular(values: Float[np.ndarray, "K P C"]) -> Float[np.ndarray, "K C C"]:
+    """What makes the columns orthonormal, one after the other."""
+    C = values.shape[2]
+    # rows of zeros: there may be fewer points than monomials
+    triangle = np.linalg.qr(np.pad(values, ((0, 0), (0, C), (0, 0))))[1]
+    diagonal = np.arange(C)
+    own = triangle[:, diagonal, diagonal]
+    sign = np.where(own < 0, -1.0, 1.0)
+    triangle[:, diagonal, diagonal] = sign * np.maximum(np.abs(own), DEPENDENT)
+    return np.linalg.inv(triangle)
 
 
 def kernel(q: Float[Array, "..."]) -> Float[Array, "..."]:

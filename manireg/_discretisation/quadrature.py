@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from scipy.stats import qmc
 
 from .._programs.sizes import at_each
-from .._source import Chart
+from .._source import Chart, itself
 from ..manifolds._defaults.frames import tangent_frames
 from ..manifolds._membership import projected
 from .spacing import (
@@ -40,6 +40,9 @@ TANGENT_SAMPLES = 256  # points per Voronoi cell volume
 
 def axis_counts(chart: Chart, n: int) -> list[int]:
     """Spacings along each axis so that cells are about cubes and `n` in number."""
+    if chart.embed is itself:
+        lengths = chart.upper - chart.lower
+        return _counts(chart, lengths.tolist(), n)
     steps = np.linspace(0, 1, 65)[:, None] * (chart.upper - chart.lower)
     middle = 0.5 * (chart.lower + chart.upper)
     lengths = []
@@ -48,6 +51,10 @@ def axis_counts(chart: Chart, n: int) -> list[int]:
         line[:, axis] = chart.lower[axis] + steps[:, axis]
         points = at_each(_embedded, chart.embed, line)
         lengths.append(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    return _counts(chart, lengths, n)
+
+
+def _counts(chart: Chart, lengths: list[float], n: int) -> list[int]:
     spacing = (np.prod(lengths) / n) ** (1 / len(lengths))
     counts = [max(1, round(length / spacing)) for length in lengths]
     # a closed curve needs three centres to be covered
@@ -66,8 +73,15 @@ def grid(chart: Chart, axes) -> Sample:
     coordinates = np.stack(np.meshgrid(*(x for x, _ in axes), indexing="ij"), -1)
     weights = functools.reduce(np.multiply.outer, (w for _, w in axes)).ravel()
     u = coordinates.reshape(len(weights), -1)
+    if chart.embed is itself:
+        return *_flat(u), weights
     frames, forms, volume = geometry_of(*at_each(_derivatives, chart.embed, u))
     return at_each(_embedded, chart.embed, u), frames, forms, volume * weights
+
+
+def _flat(u: Float[np.ndarray, "Q m"]):
+    Q, m = u.shape
+    return u, np.tile(np.eye(m), (Q, 1, 1)), np.zeros((Q, m, m, m))
 
 
 def _embedded(embed, u):

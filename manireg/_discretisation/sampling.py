@@ -20,7 +20,7 @@ def sample(source: AbstractSource, x, centres: int | None, graded: bool, order: 
     low, high = DEFAULT_CENTRES.get(m, DEFAULT_CENTRES[3])
     n = int(np.clip(bucket(len(x)), low, high)) if centres is None else centres
     domain = discretise(source, n, x, graded, order)
-    volume = float(np.sum(domain.weights))
+    volume = float(np.sum(np.asarray(domain.weights)))
     data = np.asarray(x)
     spacing = None if graded else clustered_spacing(data, m, volume, n, low)
     if spacing is not None:

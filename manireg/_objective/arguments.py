@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import ArrayLike, PyTree
 
 from .._programs.sizes import bucket, filled
 from .._sources.checks import is_concrete
@@ -28,7 +28,7 @@ def argument(problem: Problem) -> Problem:
     return eqx.tree_at(lambda p: (p.y, p.weights, p.terms), problem, changed)
 
 
-def of_data(array: Array, size: int) -> np.ndarray:
+def of_data(array: ArrayLike, size: int) -> np.ndarray:
     """An array with an entry for each datum, filled up like the problem's."""
     return filled(array, bucket(size))
 

@@ -6,9 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
-from .._discretisation.jets import second_derivative_pairs
+from .._discretisation.taylor import second_derivative_pairs as _pairs
 from .._discretisation.spacing import data_spacings
 from .._input.precision import as_scalar
 from ..manifolds import AbstractManifold
@@ -36,9 +36,13 @@ class AbstractEnergy(AbstractTerm):
         """The one to be minimised with gamma raised in stages (`method="penalty"`)."""
         return self
 
-    def of_coordinate(self) -> "AbstractEnergy":
-        """That of the first coordinate of maps into a Euclidean space."""
-        return self
+    def flat(
+        self, m: int, args
+    ) -> tuple[Float[Array, " J"], Float[ArrayLike, "#J #t"]]:
+        """That of maps into a Euclidean space, the sum of c |row - b|^2 over the rows of
+        a jet: all c and b."""
+        squares = jnp.array([1.0 if a == b else 2.0 for a, b in _pairs(m)])
+        return jnp.concatenate([jnp.zeros(1 + m), squares]), np.zeros((1, 1))
 
     def square(self, near: AbstractManifold, jet: Jet, args):
         """The sum of the squared lengths of the tangent vectors that `residual` holds, in
@@ -68,7 +72,7 @@ class Eells(AbstractEnergy):
         value, first, second = jet
         push = lambda psi, v: jax.jvp(lambda p: project_flat(near, p), (psi,), (v,))[1]
         rows = []
-        for (a, b), h in zip(second_derivative_pairs(len(first)), second):
+        for (a, b), h in zip(_pairs(len(first)), second):
             rows.append(jax.jvp(push, (value, first[a]), (first[b], h))[1])
         return _multiplicities(len(first)) * _to_tangent(near, value, rows)
 
@@ -134,8 +138,12 @@ class Tension(AbstractEnergy):
         stretching = strength * _to_tangent(near, jet.value, stretching)
         return jnp.concatenate([_bending(near, jet), stretching])
 
-    def of_coordinate(self):
-        return Tension(self.tau, self.derivative[:, :1], self.data)
+    def flat(self, m, args):
+        bending, _ = super().flat(m, args)
+        stretching = jnp.full(m, self.tau * args**2)
+        rest = jnp.zeros((len(bending) - 1 - m, self.derivative.shape[1]))
+        wanted = jnp.concatenate([rest[:1], self.derivative, rest])
+        return bending.at[1 : 1 + m].set(stretching), wanted
 
 
 def affine_derivative(
@@ -163,5 +171,5 @@ def _to_tangent(target: AbstractManifold, psi, vectors) -> Float[Array, "r t"]:
 
 def _multiplicities(m: int) -> Float[Array, "pairs 1"]:
     """Square roots: off-diagonal second derivatives count twice in |H|^2."""
-    pairs = second_derivative_pairs(m)
+    pairs = _pairs(m)
     return jnp.array([[1.0 if a == b else np.sqrt(2.0)] for a, b in pairs])

@@ -241,7 +241,7 @@ def assemble_problem(
 ) -> Problem:
     """The same from a basis and a quadrature of your own; inputs are not checked."""
     if data_volume is None:
-        data_volume = np.sum(domain.weights)
+        data_volume = np.sum(np.asarray(domain.weights))
     energy_jets = jets_of(basis, domain.points, domain.frames, domain.second_forms)
     free_jets = None
     if np.any(np.asarray(domain.second_forms)):
@@ -251,7 +251,7 @@ def assemble_problem(
     pattern, energy_places, data_places = pattern_of(basis, energy_jets, data_jets)
     energy = Eells() if energy is None else energy
     at_points = np.asarray(domain.weights)[np.asarray(energy_jets.index)]
-    share = np.asarray(weights) / np.sum(weights)
+    share = np.asarray(weights) / np.sum(np.asarray(weights))
     places = {"quadrature": (domain.points, None), "data": (x, y)}
     return Problem(
         source=source,

@@ -39,9 +39,10 @@ def at_each(
     while size < min(n, most):
         size *= 4
     parts = []
-    for start in range(0, max(n, 1), size):
-        rows = [filled(np.asarray(a)[start : start + size], size) for a in arrays]
-        parts.append(jax.tree.map(np.asarray, _rows(function, owner, *rows)))
+    with jax.ensure_compile_time_eval():  # under `jit`, too: all this is known
+        for start in range(0, max(n, 1), size):
+            rows = [filled(np.asarray(a)[start : start + size], size) for a in arrays]
+            parts.append(jax.tree.map(np.asarray, _rows(function, owner, *rows)))
     return jax.tree.map(lambda *a: np.concatenate(a)[:n], *parts)
 
 

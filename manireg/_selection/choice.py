@@ -1,8 +1,8 @@
-"""From scores to the lambda chosen: rules, grids that grow until the choice lies inside,
-and the result of every choice."""
+"""From scores to the lambda chosen: that of the lowest mean, on grids that grow until it
+lies inside, or between the values of coarse ones; and the result of every choice."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,9 +14,8 @@ from .._solver.model import RegressionMap
 from .path import Leg, follow
 from .scores import AbstractScore, Fit
 
+NEXT_TO = 1e-2  # log of a factor of lambda that is not worth a fit
 WIDENINGS = 2  # times a default grid may be extended past an edge
-
-Rule = Literal["lowest", "one standard error"]
 
 
 class CrossValidation(eqx.Module):
@@ -35,9 +34,6 @@ class CrossValidation(eqx.Module):
     """Where Newton converged."""
     model: RegressionMap
     """Fitted to all data with `lam`."""
-    rule: Rule = eqx.field(static=True, default="lowest")
-    """What chose: the `"lowest"` mean score (`cross_validate`), or the largest lambda
-    within `"one standard error"` of it (`leave_one_out`)."""
 
     @property
     def score(self) -> Float[Array, ""]:
@@ -58,40 +54,47 @@ class CrossValidation(eqx.Module):
 def choose(
     score: AbstractScore,
     grid: Float[np.ndarray, " n"],
-    plan: Callable[[Sequence[float], Mapping[float, Fit]], Sequence[Leg]],
-    rule: Rule,
+    plan: Callable[[Sequence[float]], Sequence[Leg]],
     *,
-    widen: bool,
-    ratios: Float[np.ndarray, " r"] | None = None,
+    widen: bool = False,
+    refine: bool = False,
     progress: bool,
 ) -> CrossValidation:
-    """Of the lambdas that `plan` visits in the grid (given those visited before), and with
-    `widen` past its edges."""
+    """Of the lambdas that `plan` visits in the grid, with `widen` past its edges, and with
+    `refine` one more, between the lowest and its neighbours."""
     fits: dict[float, Fit] = {}
 
     def evaluate(grid):
         lams = np.asarray(grid).tolist()
-        found = follow(score, plan(lams, fits), fits, progress)
-        fits.update(found)
-        one = next(iter(found.values())).scores
+        fits.update(follow(score, plan(lams), fits, progress))
+        return gathered(lams)
+
+    def gathered(lams):
+        one = next(iter(fits.values())).scores
         untried = Fit(None, np.full_like(one, np.inf), np.zeros(one.shape, bool), None)
-        columns = [found.get(lam, untried) for lam in lams]
+        columns = [fits.get(lam, untried) for lam in lams]
         trimmed = [score.trimmed(fit.scores) for fit in columns]
         scores = [fit.scores for fit in columns]
         converged = [fit.converged for fit in columns]
         return tuple(np.stack(a, axis=1) for a in (trimmed, scores, converged))
 
-    lams, (_, scores, converged), best = evaluated(
-        grid, evaluate, widen, RULES[rule], ratios
-    )
+    lams, results, best = evaluated(grid, evaluate, widen)
+    lams = np.asarray(lams)
+    if refine and (middle := _vertex(lams, results[0], best)) is not None:
+        lowest_yet = Leg([middle], after=float(lams[best]))
+        fits.update(follow(score, [lowest_yet], fits, progress=False))
+        lams = np.sort(np.append(lams, middle))
+        results = gathered(lams.tolist())
+        best = lowest(results[0])
+    scores, converged = jax.device_put(results[1:])
     model = score.model(as_scalar(lams[best]), fits[float(lams[best])])
-    arrays = jax.device_put((np.asarray(lams[best]), lams, scores, converged))
-    return CrossValidation(*arrays, model, rule)
+    lam, lams = jax.device_put((lams[best], lams))
+    return CrossValidation(lam, lams, scores, converged, model)
 
 
-def lowest(scores: Float[np.ndarray, "folds n"]) -> int:
+def lowest(scores: Float[Array | np.ndarray, "folds n"]) -> int:
     """Index of the lowest mean, of those that are numbers."""
-    means = np.mean(scores, axis=0)
+    means = np.mean(np.asarray(scores), axis=0)
     if not np.any(np.isfinite(means)):
         raise ValueError(
             "cross-validation: no value of the grid has a finite score. Check the scale "
@@ -100,48 +103,46 @@ def lowest(scores: Float[np.ndarray, "folds n"]) -> int:
     return int(np.argmin(np.where(np.isnan(means), np.inf, means)))
 
 
-def one_standard_error(scores: Float[np.ndarray, "folds n"]) -> int:
-    """Index of the largest value whose mean lies within one standard error of the lowest
-    (Breiman, Friedman, Olshen and Stone 1984, section 3.4.3)."""
-    best = scores[:, lowest(scores)]
-    allowed = best.mean() + best.std(ddof=1) / np.sqrt(len(best))
-    return int(np.flatnonzero(np.mean(scores, axis=0) <= allowed)[-1])
-
-
-RULES: Mapping[Rule, Callable[[np.ndarray], int]] = {
-    "lowest": lowest,
-    "one standard error": one_standard_error,
-}
+def _vertex(lams: np.ndarray, scores: Any, best: int) -> float | None:
+    """Of the parabola through the lowest mean and its neighbours, in log lambda; None at
+    an edge of the grid, or next to a lambda without a score."""
+    if not 0 < best < len(lams) - 1:
+        return None
+    x = np.log(lams[best - 1 : best + 2] / lams[best])
+    y = np.mean(np.asarray(scores)[:, best - 1 : best + 2], axis=0)
+    if not np.all(np.isfinite(y)):
+        return None
+    bend, slope, _ = np.polyfit(x, y, 2)
+    step = -slope / (2 * bend) if bend > 0 else 0.0
+    return float(lams[best] * np.exp(step)) if abs(step) > NEXT_TO else None
 
 
 def evaluated(
     grid: Float[Array | np.ndarray, " n"],
-    evaluate: Callable[[np.ndarray], Any],
+    evaluate: Callable[[Array], Any],
     widen: bool,
-    rule: Callable[[np.ndarray], int] = lowest,
-    ratios: Float[np.ndarray, " r"] | None = None,
-) -> tuple[np.ndarray, Any, int]:
-    """`grid`, `evaluate(grid)` and the index of the value that the rule chooses.
+) -> tuple[Array, Any, int]:
+    """`grid`, `evaluate(grid)` and the index of the value whose mean score is lowest.
 
     `evaluate` gives a tuple of arrays `(folds, n, ...)`, scores first. With `widen`, while
-    the best mean score sits on the lower edge or the choice on the upper one, the grid is
-    extended past it, at most twice: by `ratios`, default a quarter of its range (in as
-    many values as before: compiled programs are used again).
+    the lowest sits on an edge, the grid is extended past it by a quarter of its range, at
+    most twice (in as many values as before: compiled programs are used again).
     """
     grid = np.asarray(grid)
     quarters = 0.25 * np.arange(1, len(grid) + 1) / len(grid)
-    up = (grid[-1] / grid[0]) ** quarters if ratios is None else ratios
+    up = (grid[-1] / grid[0]) ** quarters
     host = lambda arrays: jax.tree.map(np.asarray, arrays)
-    results = host(evaluate(grid))
+    results = host(evaluate(jax.device_put(grid)))
     for _ in range(WIDENINGS if widen else 0):
-        below = lowest(results[0]) == 0
-        if not below and rule(results[0]) < len(grid) - 1:
+        best = lowest(results[0])
+        if 0 < best < len(grid) - 1:
             break
+        below = best == 0
         new = grid[0] / up[::-1] if below else grid[-1] * up
         join = lambda old, new, axis: np.concatenate(
             [new, old] if below else [old, new], axis=axis
         )
-        more = host(evaluate(new))
+        more = host(evaluate(jax.device_put(new)))
         results = jax.tree.map(lambda a, b: join(a, b, 1), results, more)
         grid = join(grid, new, 0)
-    return grid, results, rule(results[0])
+    return *jax.device_put((grid, results)), lowest(results[0])

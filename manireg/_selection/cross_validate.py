@@ -84,8 +84,7 @@ def cross_validate(
     return choose(
         KFold(problem, training, linear_algebra, max_steps),
         grid,
-        lambda lams, _: up_and_down(lams, middle, to_the_end=not default),
-        "lowest",
+        lambda lams: up_and_down(lams, middle, to_the_end=not default),
         widen=default,
         progress=progress,
     )

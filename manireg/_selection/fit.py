@@ -6,10 +6,12 @@ from .._input.numbers import Numbers
 from .._objective.problem import make_problem
 from .._solver.geodesic_loss import solve_geodesic
 from .._solver.model import RegressionMap
-from .._solver.solve import solve
+from .._solver.solve import checked, solve
 from .._source import AbstractSource
 from ..manifolds import AbstractManifold
 from .cross_validate import cross_validate
+from .leave_one_out import leave_one_out
+from .scores import TO_THE_END
 
 
 def fit(
@@ -26,6 +28,7 @@ def fit(
     graded: bool = False,
     tension: float = 0.0,
     loss: Literal["chord", "geodesic"] = "chord",
+    folds: int | None = None,
     **options,
 ) -> RegressionMap:
     r"""Learn a smooth map `source -> target` from pairs (x_i, y_i):
@@ -34,9 +37,11 @@ def fit(
     + \lambda \int_M |\nabla d\Psi|^2$$
 
     **Arguments:** `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`,
-    `graded`, `tension` as in `make_problem`; `lam` lambda, or None to choose it by
-    `cross_validate`; other options go to `solve` (with `lam`) or `cross_validate`
-    (without).
+    `graded`, `tension` as in `make_problem`; `lam` lambda, or None to choose it; other
+    options go to `solve` (with `lam`), `leave_one_out` or `cross_validate` (without).
+
+    - `folds`: choose lambda by `cross_validate` with so many folds; default by
+      `leave_one_out`, of which one fit a lambda is enough.
 
     - `loss`: on a `PointCloud`, d_N is the chord (default: fast, right to third order) or
       the length of the shortest curve (`"geodesic"`, a few solves more, for data far from
@@ -59,7 +64,13 @@ def fit(
         raise ValueError(
             f"loss: expected 'chord' or, with a given `lam`, 'geodesic'; found {loss!r}."
         )
-    if lam is None:
+    if folds is not None and lam is not None:
+        raise ValueError("folds: there is nothing to choose where `lam` is given.")
+    if lam is None and folds is not None:
+        options["folds"] = folds
         return cross_validate(source, target, x, y, **data, **options).model
+    if lam is None:
+        model = leave_one_out(source, target, x, y, **data, **options).model
+        return checked(model, TO_THE_END[1])
     minimise = solve_geodesic if loss == "geodesic" else solve
     return minimise(make_problem(source, target, x, y, **data), lam, **options)

@@ -10,8 +10,7 @@ from .._objective.problem import Problem
 from .._objective.wavelengths import lambda_of_wavelength, mean_spacing
 
 GRID = 20  # values of a default grid
-LONGEST = 2.7  # wavelength at the top of a short one, in spacings of the data
-VALUES, RATIO = 5, 3.4  # of it: down to wavelengths of 0.8 spacings
+COARSE_STEP = 8.0  # largest factor between the values of a coarse one
 
 
 def lambda_grid(problem: Problem, n: int | None = None) -> Float[Array, " n"]:
@@ -36,8 +35,7 @@ def lambda_grid(problem: Problem, n: int | None = None) -> Float[Array, " n"]:
     return jax.device_put(np.exp(np.linspace(low, high, n)))
 
 
-def short_grid(problem: Problem) -> Float[Array, " lams"]:
-    """Around the spacing of the data: five values, each 3.4 times the one before."""
-    here = on_host(problem)
-    longest = lambda_of_wavelength(here, LONGEST * mean_spacing(here))
-    return jax.device_put(longest * RATIO ** -np.arange(VALUES, dtype=float)[::-1])
+def coarse_grid(problem: Problem) -> Float[Array, " lams"]:
+    """The same range in steps of at most a factor of 8."""
+    low, high = np.log(np.asarray(lambda_grid(problem, 2)))
+    return lambda_grid(problem, 1 + int(np.ceil((high - low) / np.log(COARSE_STEP))))

@@ -11,7 +11,7 @@ from .._sources.checks import check_lams
 from ..manifolds import AbstractManifold
 from .choice import CrossValidation, choose
 from .given import problem_and_lams
-from .lambda_grid import RATIO, short_grid
+from .lambda_grid import coarse_grid
 from .path import downwards
 from .scores import LeaveOneOut
 
@@ -42,25 +42,27 @@ def leave_one_out(
     for each fold, too. The lambdas are followed downwards, each from its neighbour:
     started from the free solution of a small lambda, maps fold up far from the data.
 
-    Few data predict errors roughly, and beside them a far too small lambda costs more than
-    one too large: chosen is the largest lambda whose score lies within one standard error
-    of the lowest (Breiman, Friedman, Olshen and Stone 1984, section 3.4.3). Scores are
-    means with the largest tenth cut to the ninth decile: where the map may fold without a
-    datum, to first order it flies off, and that datum alone would decide.
+    Chosen is the lambda of the lowest mean, with the largest tenth of the errors cut to
+    their ninth decile: where the map may fold without a datum, to first order it flies
+    off, and that datum alone would decide. Measured on 427 data sets - curves with noise
+    of all sizes, orientations, poles - the error to the truth is 1.06 times the least of
+    any lambda (geometric mean), as by 10 folds (1.07); 1.16 by the largest lambda within
+    one standard error, 1.11 by medians.
 
     **Arguments:**
 
     - `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`, `graded`,
       `tension`: as in `make_problem`; or a `Problem` in place of them all.
-    - `lams`: the grid, positive, in any order; equal ones are tried once. Default five
-      values of wavelengths (see `lambda_grid`) from 2.7 to 0.8 spacings of the data,
-      extended (at most twice) where the best value or the choice sits on an edge.
+    - `lams`: the grid, positive, in any order; equal ones are tried once. Default the
+      range of `lambda_grid` in steps of at most a factor of 8, and one more, where the
+      parabola through the lowest mean and its neighbours has its vertex.
     - `linear_algebra`, `max_steps`: as in `solve`.
     - `progress`: show a progress bar.
 
     **Returns** what `cross_validate` does, with one fold a datum (of positive weight):
-    `scores` are the predicted lengths of the residuals, times the data's relative weights.
-    `model` is the fit on the path, to a relative decrease of 1e-4.
+    `scores` are the predicted lengths of the residuals, times the data's relative weights,
+    of fits to a relative decrease of 1e-4. `model` is refitted to the end; whether that
+    succeeded says its `result`.
 
     **Raises** ValueError as `make_problem` does, for data beside a `Problem`, and for
     `lams` that are not as above. **Warns** as `solve` does.
@@ -79,14 +81,11 @@ def leave_one_out(
         tension=tension,
     )
     default = lams is None
-    grid = np.asarray(short_grid(problem)) if default else check_lams(lams)
     cv = choose(
         LeaveOneOut(problem, linear_algebra, max_steps),
-        grid,
+        np.asarray(coarse_grid(problem)) if default else check_lams(lams),
         downwards,
-        "one standard error",
-        widen=default,
-        ratios=np.array([RATIO]),
+        refine=default,
         progress=progress,
     )
     warn_where_coarse(problem, cv.lam)

@@ -1,13 +1,13 @@
 """Along log lambda: one fit after another, each started where the one before ended. In
 which order is a plan, made beforehand; what is fitted is the score's business."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from tqdm.auto import tqdm
 
 from .._input.precision import as_scalar
+from .progress import Progress
 from .scores import AbstractScore, Fit
 
 HOPELESS = 2.0  # times the best mean score
@@ -35,10 +35,11 @@ def up_and_down(
     return [*plan, Leg(above[::-1])] if to_the_end else plan
 
 
-def downwards(grid: Sequence[float], visited: Iterable[float]) -> Sequence[Leg]:
-    """From the largest lambda, or from the visited one next to it, down to the least."""
-    apart = lambda lam: abs(np.log(lam / grid[-1]))
-    return [Leg(grid[::-1], min(visited, key=apart, default=None))]
+def downwards(grid: Sequence[float]) -> Sequence[Leg]:
+    """From the largest lambda to the least, whatever the scores on the way: a path that
+    begins in a wrong minimum leaves it late (measured: one of 60 tracks of orientations,
+    near the end)."""
+    return [Leg(grid[::-1])]
 
 
 def follow(
@@ -51,7 +52,7 @@ def follow(
     fits: dict[float, Fit] = {}
     lowest = np.inf
     planned = len({lam for leg in plan for lam in leg.lams})
-    with tqdm(total=planned, desc="lambdas", disable=not progress) as bar:
+    with Progress(planned, "lambdas", progress) as bar:
         for leg in plan:
             place = None if leg.after is None else {**visited, **fits}[leg.after].place
             for lam in leg.lams:
@@ -62,7 +63,7 @@ def follow(
                 place = score.start(traced) if place is None else place
                 fits[lam] = score.fit(traced, place)
                 place = fits[lam].place
-                bar.update()
+                bar.step()
                 mean = float(np.mean(score.trimmed(fits[lam].scores)))
                 lowest = min(lowest, mean)
                 if mean > leg.limit * lowest:

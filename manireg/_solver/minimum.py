@@ -49,7 +49,7 @@ def newton_solve(newton: Newton, stage: Stage, w: Float[Array, "KC t"]) -> Minim
 def unsolved(stage: Stage, w: Float[Array, "KC t"]) -> Minimum:
     """Nothing but a start: loops over solves begin with it, and their programs have one
     copy of the solve."""
-    _, energies = jax.eval_shape(objective, w, stage)
+    _, energies = eqx.filter_eval_shape(objective, w, stage)
     energies = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), energies)
     count, number = jnp.array(0), jnp.zeros((), w.dtype)
     names = "num_newton_steps", "num_trials", "num_steps", "num_rounds"

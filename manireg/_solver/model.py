@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .._discretisation.jets import centres_near
 from .._discretisation.local_polynomials import (
@@ -47,11 +47,11 @@ class RegressionMap(eqx.Module):
         target. A single point, `(*source.point_shape)`, gives a single point, so
         `jax.vmap`, `jax.jit` and `jax.grad` take the model as it is.
 
-        **Raises** ValueError for wrong shapes, NaN, points off the source, and for a model
-        that was unpickled in float32 mode; a run-time error (`equinox.error_if`) outside
-        the cover of the fitted map. Of traced `x` the values are not known: NaN and points
-        outside an `Interval`, a `Box` or the cover are run-time errors, too; whether they
-        lie on a curved source is not looked at: `source.project` them if in doubt.
+        **Raises** ValueError for wrong shapes, NaN, points off the source or outside the
+        cover of the fitted map, and for a model that was unpickled in float32 mode. Of
+        traced `x` the values are not known: NaN and points outside an `Interval`, a `Box`
+        or the cover are run-time errors (`equinox.error_if`); whether they lie on a curved
+        source is not looked at: `source.project` them if in doubt.
         """
         check_x64(self.basis)
         flat, single = check_inputs(self.source, x)
@@ -60,7 +60,7 @@ class RegressionMap(eqx.Module):
             near = centres_near(self.basis, np.asarray(flat))
             points, covered = at_each(_value, (self.target, *parts), flat, near)
             if not np.all(covered):
-                raise RuntimeError(UNCOVERED)
+                raise ValueError(UNCOVERED)
             return jax.device_put(points[0] if single else points)
         values, covered = evaluate(self.basis, self.coefficients, flat, self.origin)
         values = eqx.error_if(values, ~covered, UNCOVERED)
@@ -79,14 +79,14 @@ def evaluate(
     w: Float[Array, "KC t"],
     x: Float[Array, "n s"],
     origin: Float[Array, " t"],
-) -> tuple[Float[Array, "n t"], Array]:
+) -> tuple[Float[Array, "n t"], Bool[ArrayLike, ""]]:
     """Psi at `x`, before the projection to N; and whether all of `x` is covered. Traced
     points are compared with all centres, others only with those near them."""
     owner = basis, w, origin
     if _is_host(owner, x):
         near = centres_near(basis, np.asarray(x))
         values, covered = at_each(_psi, owner, x, near)
-        return jax.device_put(values), np.all(covered)
+        return jax.device_put(values), np.asarray(np.all(covered))
     everywhere = jnp.arange(len(basis.centres))
     one = lambda x: _psi(owner, x, everywhere)
     values, covered = jax.lax.map(one, x, batch_size=256)

@@ -155,16 +155,17 @@ def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     fixed = jax.lax.stop_gradient(eqx.filter(problem, eqx.is_array))
     fixed = eqx.combine(fixed, problem)
     frozen_lam = jax.lax.stop_gradient(lam)
-    arrays, rest = eqx.partition((fixed, frozen_lam, warm), eqx.is_array)
+    limits = rtol, max_steps
+    arrays, rest = eqx.partition((fixed, frozen_lam, warm, limits), eqx.is_array)
 
     # In lockstep all lanes of a vmap would wait for the slowest, and take both branches of
     # every choice: measured, 2.3 times the time of a loop.
     @jax.custom_batching.sequential_vmap
     def lowest(arrays):
-        problem, lam, warm = eqx.combine(arrays, rest)
+        problem, lam, warm, limits = eqx.combine(arrays, rest)
         lanes = [starts_of(problem, lam, starts, method, solvers)] if starts else []
         lanes += [] if warm is None else [(warm[None], lam[None])]
-        options = method, solvers, rtol, max_steps
+        options = method, solvers, *limits
         follow = lambda lane: _followed(problem, lam, lane, *options)
         lanes = jax.tree.map(lambda *parts: jnp.concatenate(parts), *lanes)
         candidates = jax.lax.map(follow, lanes)

@@ -10,20 +10,16 @@ followed from a lambda at which they follow the data.
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, ScalarLike
 
-from .._discretisation.jets import jet_values
+from .._discretisation.jets import Jets, jet_values
 from .._objective.assembly import PointHessians, assembled
-from .._objective.hessian import gauss_newton
 from .._objective.objective import objective
-from .._objective.problem import Problem
-from .._objective.sites import Stage
+from .._objective.problem import Problem, data_weights
 from .._objective.wavelengths import anchor
-from ..manifolds import Euclidean
 from .linear import AbstractSolvers
 from .minimise import Method, gauge, stage_of
 
@@ -55,7 +51,9 @@ def starts_of(
     values = lambda w: jet_values(problem.energy_jets, w)[:, :, 0]
     as_points = lambda v: v.reshape(*v.shape[:2], *problem.target.point_shape)
     on_target = lambda w: project(as_points(values(w) + problem.origin))
-    spline = values(_spline(problem, logarithms, lam, solvers))
+    logarithms = logarithms[problem.data_jets.index]
+    jets = problem.energy_jets
+    spline = values(_spline(problem, jets, logarithms, lam, solvers))
     images = [*jax.vmap(on_target)(free), exp(datum, as_points(spline))]
     maps = _nearest_maps(
         problem, jnp.stack([a.reshape(spline.shape) for a in images]), solvers
@@ -83,51 +81,72 @@ def _nearest_maps(
 ) -> Float[Array, "n KC t"]:
     """Of the basis, by least squares over the quadrature points."""
     jets, weights = problem.energy_jets, problem.energy_weights
-    places = problem.energy_places
-    mass = PointHessians(weights[:, :, None, None], jets, places, rows=(0,))
-    factor = solvers.positive.init(assembled(problem.pattern, (mass,)), {})
-
-    size = problem.pattern.size
-    _, pull = jax.vjp(
-        lambda w: jet_values(jets, w)[:, :, 0], jnp.zeros((size, images.shape[-1]))
-    )
-    offset = weights[:, :, None] * (images - problem.origin)
-    rhs = jax.vmap(lambda v: pull(v)[0])(offset)
-    sides = jnp.moveaxis(rhs, 0, 1).reshape(size, 1, -1)
-    solution = solvers.positive.compute(factor, sides, {})[0]
-    return jnp.moveaxis(solution.reshape(size, *rhs.shape[::2]), 1, 0)
+    rows = jets.matrices.shape[2]
+    value = (np.arange(rows) == 0) * weights[:, :, None]
+    offset = jnp.moveaxis(images - problem.origin, 0, -2)
+    wanted = offset.reshape(*weights.shape, 1, -1)
+    no_data = jnp.zeros_like(problem.data_jets.mask)
+    nothing = jnp.zeros((*no_data.shape, wanted.shape[-1]))
+    w = _least_squares(problem, jets, value, wanted, no_data, nothing, solvers)
+    return jnp.moveaxis(w.reshape(len(w), len(images), -1), 1, 0)
 
 
 def free_solution(
     problem: Problem, lam: ScalarLike, solvers: AbstractSolvers
 ) -> Float[Array, "KC t"]:
     """The minimiser with N = R^t: a thin-plate spline, one linear solve."""
-    if problem.free_jets is not None:
-        problem = eqx.tree_at(lambda p: p.energy_jets, problem, problem.free_jets)
-    return _flat_solution(problem, lam, solvers)
+    free = problem.free_jets
+    jets = problem.energy_jets if free is None else free
+    y = (problem.y - problem.origin)[problem.data_jets.index]
+    return _spline(problem, jets, y, lam, solvers)
 
 
-def _spline(problem: Problem, y, lam, solvers: AbstractSolvers) -> Float[Array, "KC t"]:
-    """The same with the energy of the source itself, of other data around 0."""
-    zero = jnp.zeros_like(problem.origin)
-    other = eqx.tree_at(lambda p: (p.y, p.origin), problem, (y, zero))
-    return _flat_solution(other, lam, solvers)
+def _spline(problem: Problem, jets: Jets, y, lam, solvers: AbstractSolvers):
+    """Of data `y` around 0, with the energy of the given jets."""
+    flat = lambda args: problem.energy.penalised().flat(problem.basis.dim, args)
+    at_points = jax.tree.map(lambda a: a[jets.index], problem.energy_arguments)
+    axes = 0 if jax.tree.leaves(at_points) else None
+    size = jets.index.shape[1]
+    costs, wanted = jax.vmap(
+        jax.vmap(flat, axes, axis_size=size), axes, axis_size=len(jets.index)
+    )(at_points)
+    costs = lam * problem.energy_weights[:, :, None] * costs
+    share = data_weights(problem)
+    return _least_squares(problem, jets, costs, wanted, share, y, solvers)
 
 
-def _flat_solution(problem: Problem, lam, solvers: AbstractSolvers):
-    where = lambda p: (p.target, p.energy, p.terms)
-    energy = problem.energy.penalised()
-    flat = eqx.tree_at(where, problem, (Euclidean(problem.y.shape[1]), energy, ()))
-    w = jnp.zeros((problem.pattern.size, problem.y.shape[1]))
-    stage = Stage(flat, lam, 0.0, energy)
-    gradient = jax.grad(lambda w: objective(w, stage)[0])(w)
-    # every coordinate has the same matrix
-    one = Stage(_first_coordinate(flat), lam, 0.0, energy.of_coordinate())
-    factor = solvers.positive.init(gauss_newton(w[:, :1], one), {})
-    return -solvers.positive.compute(factor, gradient[:, None], {})[0][:, 0]
+def _least_squares(
+    problem: Problem,
+    jets: Jets,
+    costs: Float[Array, "e p J"],
+    wanted: Float[Array, "e p #J #n"],
+    share: Float[Array, "d r"],
+    y: Float[Array, "d r n"],
+    solvers: AbstractSolvers,
+) -> Float[Array, "KC n"]:
+    """Coefficients of the function that comes nearest to `wanted` in its jets and to `y`
+    at the data, of all n at once: each has the same matrix."""
+    data = problem.data_jets
+    rows = costs.shape[-1]
+    families = (
+        PointHessians(
+            costs[..., None] * jnp.eye(rows),
+            jets,
+            problem.energy_places,
+            rows=tuple(range(rows)),
+        ),
+        PointHessians(share[:, :, None, None], data, problem.data_places, rows=(0,)),
+    )
+    matrix = assembled(problem.pattern, families)
 
+    def pulled(jets, forces):
+        """A^T forces."""
+        along = jnp.einsum("epju,epjn->eun", jets.matrices, forces)
+        zeros = jnp.zeros((problem.pattern.size, y.shape[-1]))
+        return zeros.at[jets.columns].add(along)
 
-def _first_coordinate(problem: Problem) -> Problem:
-    where = lambda p: (p.target, p.y, p.origin)
-    coordinate = (Euclidean(1), problem.y[:, :1], problem.origin[:1])
-    return eqx.tree_at(where, problem, coordinate)
+    right = pulled(data, (share[:, :, None] * y)[:, :, None])
+    forces = costs[..., None] * wanted
+    right += pulled(jets, jnp.broadcast_to(forces, (*costs.shape, y.shape[-1])))
+    factor = solvers.positive.init(matrix, {})
+    return solvers.positive.compute(factor, right[:, None], {})[0][:, 0]

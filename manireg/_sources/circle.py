@@ -56,7 +56,7 @@ class Circle(AbstractSource):
     def _image(self) -> Sphere:
         return Sphere(1, self.period / (2 * np.pi))
 
-    def to_ambient(self, x: Float[Any, " k"]) -> Float[Array, "k 2"]:
+    def to_ambient(self, x: Float[Any, " k"]) -> Float[Any, "k 2"]:
         r"""$r (\cos(x/r), \sin(x/r))$, $2\pi r$ the period."""
         numpy = jnp if isinstance(x, jax.Array) else np  # that of x
         angle = 2 * np.pi * numpy.mod(x, self.period) / self.period

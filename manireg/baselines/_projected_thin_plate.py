@@ -3,11 +3,13 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 
 from .._discretisation.local_polynomials import LocalPolynomials
 from .._input.numbers import Numbers
+from .._objective.arguments import argument, of_data
 from .._objective.problem import Problem, make_problem, psi_at_data
+from .._programs.program import program
 from .._selection.choice import evaluated
 from .._selection.folds import held_out_error, training_sets
 from .._selection.lambda_grid import lambda_grid
@@ -90,13 +92,12 @@ def projected_thin_plate(
         width=width,
     )
     solvers = direct_solvers(linear_algebra)
-    spline = eqx.filter_jit(free_solution)
     build = lambda lam, grid, scores: ProjectedThinPlate(
         source,
         target,
         problem.basis,
         problem.origin,
-        spline(problem, lam, solvers),
+        _spline(argument(problem), lam, solvers),
         lam,
         grid,
         scores,
@@ -104,17 +105,20 @@ def projected_thin_plate(
     if lam is not None:
         lam = check_lam(lam)
         return build(lam, lam[None], jnp.zeros((0, 1)))
-    training = jnp.asarray(training_sets(problem.weights, folds, key))
-    grid = lambda_grid(problem) if lams is None else jnp.asarray(check_lams(lams))
-    evaluate = lambda grid: (_scores(problem, training, grid, solvers),)
+    training = of_data(training_sets(problem.weights, folds, key).T, len(problem.y)).T
+    grid = lambda_grid(problem) if lams is None else jax.device_put(check_lams(lams))
+    evaluate = lambda grid: (_scores(argument(problem), training, grid, solvers),)
     grid, (scores,), best = evaluated(grid, evaluate, widen=lams is None)
     return build(grid[best], grid, scores)
 
 
-@eqx.filter_jit
+_spline = program(most=4)(free_solution)
+
+
+@program(most=4)
 def _scores(
     problem: Problem,
-    training: Bool[Array, "folds k"],
+    training: Bool[ArrayLike, "folds k"],
     lams: Float[Array, " lams"],
     solvers: AbstractSolvers,
 ) -> Float[Array, "folds lams"]:

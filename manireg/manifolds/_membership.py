@@ -31,9 +31,8 @@ def check_on(name: str, space, points):
     """`points`, `(k, *point_shape)`, lie on the manifold `space`, if that is known."""
     if not is_concrete(*jax.tree.leaves(space)):
         return
-    with jax.ensure_compile_time_eval():  # under `jit`, too: these points are known
-        here = np.asarray(points)
-        parts = space.parts(here, np.asarray(projected(space, here)) - here)
+    here = np.asarray(points)
+    parts = space.parts(here, at_each(_project, space, here) - here)
     for label, part, here, gap in parts:
         _check_near(name, label, part, np.asarray(here), np.asarray(gap))
 

@@ -56,12 +56,7 @@ def test_down_as_far_as_there_is_hope():
 
 
 def test_downwards():
-    down = [(16, 0), (8, 16), (4, 8), (2, 4), (1, 2)]
-    assert visits(downwards(GRID, [])) == down
-    nothing = np.zeros(2), np.ones(2, bool), None
-    before = {lam: Fit(-lam, *nothing) for lam in GRID}
-    assert visits(downwards([0.5], before), visited=before) == [(0.5, -1)]
-    assert visits(downwards([32.0], before), visited=before) == [(32, -16)]
+    assert visits(downwards(GRID)) == [(16, 0), (8, 16), (4, 8), (2, 4), (1, 2)]
 
 
 def test_a_leg_goes_on_from_one_of_its_own_plan():
@@ -77,24 +72,27 @@ class Chosen(Distance):
         raise Found(float(lam))
 
 
-def chosen(best, rule):
-    """The lambda, and those visited past the edges of the grid."""
+def chosen(best, **options):
+    """The lambda, and those visited beside the grid."""
     score = Chosen(best, [])
     with pytest.raises(Found) as found:
-        choose(
-            score, np.array(GRID), downwards, rule,
-            widen=True, ratios=np.array([2.0]), progress=False,
-        )  # fmt: skip
+        choose(score, np.array(GRID), downwards, progress=False, **options)
     return found.value.args[0], [lam for lam, _ in score.visits[len(GRID) :]]
 
 
-def test_rules_and_edges():
-    """The grid grows below the best value, and above the choice. The standard error 1.1
-    allows for one step."""
-    assert chosen(4.0, "lowest") == (4.0, [])
-    assert chosen(4.0, "one standard error") == (8.0, [])
-    assert chosen(8.0, "lowest") == (8.0, [])
-    assert chosen(8.0, "one standard error") == (16.0, [32.0])
-    assert chosen(1.0, "lowest") == (1.0, [0.5])
-    assert chosen(1.0, "one standard error") == (2.0, [0.5])
-    assert chosen(2.0**-9, "lowest") == (0.25, [0.5, 0.25])
+def test_the_grid_grows_past_the_edge_where_the_lowest_lies():
+    """By a quarter of its range: to half its least value in five steps."""
+    assert chosen(4.0, widen=True) == (4.0, [])
+    assert chosen(1.0, widen=False) == (1.0, [])
+    lam, beyond = chosen(2.0**-9, widen=True)
+    np.testing.assert_allclose((lam, min(beyond)), (0.25, 0.25))  # twice
+    lam, beyond = chosen(20.0, widen=True)
+    assert 19 < lam < 21 and min(beyond) > 16 and max(beyond) == pytest.approx(32)
+
+
+def test_one_more_between_the_lowest_and_its_neighbours():
+    """Of |log2(lam / 5)| the parabola through 2, 4 and 8 has its vertex above 4."""
+    lam, (beside,) = chosen(5.0, refine=True)
+    assert lam == beside and 4 < lam < 5.7
+    assert chosen(4.0, refine=True) == (4.0, [])  # the lowest is the vertex
+    assert chosen(1.0, refine=True) == (1.0, [])  # at the edge there is none
