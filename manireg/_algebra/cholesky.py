@@ -80,7 +80,6 @@ class SparseCholesky(AbstractPositive):
         return from_solves(solve, operator.in_structure().shape, elements)
 
 
-
 class BandCholesky(AbstractPositive):
     """For the neighbours on a curve. No callback. The ridge is the first of `RIDGES` that
     makes the operator positive definite to rounding; where none does, the solution is not

@@ -1,13 +1,13 @@
 """Loops over the leading axis of arrays, a chunk at a time, whose body is compiled once:
-where chunks do not come out even, the last one overlaps the one before."""
+where chunks do not come out even, the last one overlaps the one before. Only as many
+entries are visited as there are, whatever the arrays are filled up to."""
 
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, PyTree
+from jaxtyping import Array, Bool, Int, PyTree
 
 
 def scan_chunks(
@@ -15,43 +15,44 @@ def scan_chunks(
     carry: Any,
     arrays: PyTree,
     largest: float,
+    count: Int[Array, ""],
 ) -> Any:
-    """`carry = add(carry, chunk, new)` for chunks of at most `largest` entries; `new`:
-    which of them have not been in a chunk before."""
-    starts, size, n = _chunks(arrays, largest)
-    first = np.arange(len(starts)) * size
+    """`carry = add(carry, chunk, new)` for chunks of at most `largest` entries, of the
+    first `count`; `new`: which of them have not been in a chunk before."""
+    size, n = _sizes(arrays, largest)
 
-    def next_chunk(carry, at):
-        start, first = at
-        new = start + jnp.arange(size) >= first
-        return add(carry, _chunk(arrays, start, size), new), None
+    def next_chunk(i, carry):
+        start = jnp.minimum(i * size, n - size)
+        new = start + jnp.arange(size) >= i * size
+        return add(carry, _chunk(arrays, start, size), new)
 
-    return jax.lax.scan(next_chunk, carry, (jnp.asarray(starts), jnp.asarray(first)))[0]
+    return jax.lax.fori_loop(0, -(-count // size), next_chunk, carry)
 
 
-def map_chunks(f: Callable[[PyTree], PyTree], arrays: PyTree, largest: float) -> PyTree:
-    """`f` of every entry, stacked: under vmap over at most `largest` entries."""
-    starts, size, n = _chunks(arrays, largest)
+def map_chunks(
+    f: Callable[[PyTree], PyTree], arrays: PyTree, largest: float, count: Int[Array, ""]
+) -> PyTree:
+    """`f` of the first `count` entries, stacked (zeros for the others): under vmap over at
+    most `largest` entries."""
+    size, n = _sizes(arrays, largest)
     of_chunk = lambda start: jax.vmap(f)(_chunk(arrays, start, size))
-    parts = jax.lax.map(of_chunk, jnp.asarray(starts))
-    overlap = len(starts) * size - n
+    shapes = jax.eval_shape(of_chunk, 0)
+    zeros = jax.tree.map(lambda a: jnp.zeros((n, *a.shape[1:]), a.dtype), shapes)
 
-    def joined(a):
-        before, last = a[:-1].reshape(-1, *a.shape[2:]), a[-1, overlap:]
-        return jnp.concatenate([before, last]) if len(starts) > 1 else a[0]
+    def next_chunk(i, found):
+        start = jnp.minimum(i * size, n - size)
+        put = lambda a, part: jax.lax.dynamic_update_slice_in_dim(a, part, start, 0)
+        return jax.tree.map(put, found, of_chunk(start))
 
-    return jax.tree.map(joined, parts)
+    return jax.lax.fori_loop(0, -(-count // size), next_chunk, zeros)
 
 
-def _chunks(arrays: PyTree, largest: float) -> tuple[np.ndarray, int, int]:
-    """Starts of the chunks, entries in each and in all."""
+def _sizes(arrays: PyTree, largest: float) -> tuple[int, int]:
+    """Entries in a chunk, and in all."""
     n = len(jax.tree.leaves(arrays)[0])
     count = -(-n // max(int(largest), 1))
-    size = -(-n // count)
-    return np.minimum(np.arange(count) * size, n - size), size, n
+    return -(-n // count), n
 
 
 def _chunk(arrays: PyTree, start, size: int) -> PyTree:
-    return jax.tree.map(
-        lambda a: jax.lax.dynamic_slice_in_dim(a, start, size), arrays
-    )
+    return jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, start, size), arrays)

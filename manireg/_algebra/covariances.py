@@ -22,6 +22,8 @@ class Elements(NamedTuple):
     """Of the f functions of each centre at each point."""
     columns: Int[Array, "e L*f"]
     """Which unknowns these are, negative where there is none."""
+    count: Int[Array, ""]
+    """Of the elements that hold points."""
     places: Int[Array, "e pairs"]
     """Where the pairs of centres i <= j are among the blocks of the matrix."""
 
@@ -35,7 +37,7 @@ def from_blocks(
     b = inverse.shape[-1]
 
     def of_element(element):
-        values, _, places = element
+        values, places = element
         blocks = inverse.at[places].get(mode="fill", fill_value=0.0)
         blocks = blocks.reshape(len(i), f, b // f, f, b // f)
         half = jnp.einsum("pnf,nfagb->pnagb", values[:, i], blocks)
@@ -46,7 +48,8 @@ def from_blocks(
 
     points = elements.values.shape[1]
     size = 8 * len(i) * b * (b + points * b // f)
-    return map_chunks(of_element, elements, CHUNK_BYTES / size)
+    arrays = elements.values, elements.places
+    return map_chunks(of_element, arrays, CHUNK_BYTES / size, elements.count)
 
 
 def from_solves(
@@ -58,11 +61,10 @@ def from_solves(
     e, p, L, f = elements.values.shape
     sides = p * t
     chunk = max(1, int(CHUNK_BYTES / (8 * math.prod(shape) * sides)))
-    count = -(-e // chunk)
-    chunk = -(-e // count)
-    starts = np.minimum(np.arange(count) * chunk, e - chunk)
+    chunk = -(-e // -(-e // chunk))
 
-    def of_chunk(start):
+    def next_chunk(i, covariances):
+        start = jnp.minimum(i * chunk, e - chunk)
         cut = lambda a: jax.lax.dynamic_slice_in_dim(a, start, chunk)
         values, columns = cut(elements.values), cut(elements.columns)
         values = values.reshape(chunk, p, L * f)
@@ -76,9 +78,8 @@ def from_solves(
         )
         found = solve(right.reshape(size, t, -1)).reshape(right.shape)
         found = found[places, :, owner]
-        return jnp.einsum("epu,epuab->epab", values, found)
+        part = jnp.einsum("epu,epuab->epab", values, found)
+        return jax.lax.dynamic_update_slice_in_dim(covariances, part, start, 0)
 
-    parts = jax.lax.map(of_chunk, jnp.asarray(starts))
-    overlap = count * chunk - e
-    before = parts[:-1].reshape(-1, *parts.shape[2:])
-    return jnp.concatenate([before, parts[-1, overlap:]])
+    count = -(-elements.count // chunk)
+    return jax.lax.fori_loop(0, count, next_chunk, jnp.zeros((e, p, t, t)))

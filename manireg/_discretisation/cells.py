@@ -85,7 +85,9 @@ def on_cells(atlas: Atlas, cells: Cells, rule=MIDPOINT) -> Sample:
     return points, frames, forms, volume * (boxes * weights.ravel()).ravel()
 
 
-def _embedded(atlas: Atlas, cells: Cells, rule, order: int = 1) -> tuple[np.ndarray, ...]:
+def _embedded(
+    atlas: Atlas, cells: Cells, rule, order: int = 1
+) -> tuple[np.ndarray, ...]:
     """Points, and derivatives of the chart up to `order`."""
     m = cells.lower.shape[1]
     nodes = np.stack(np.meshgrid(*[rule[0]] * m, indexing="ij"), -1).reshape(-1, m)

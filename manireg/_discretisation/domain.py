@@ -10,7 +10,6 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -171,9 +170,7 @@ def _product_domain(
         np.meshgrid(*(np.arange(len(d.points)) for d in domains), indexing="ij"), -1
     ).reshape(-1, len(domains))
     pick = lambda a, i: np.asarray(a)[index[:, i]]
-    picked = [
-        jax.tree.map(lambda a, i=i: pick(a, i), d) for i, d in enumerate(domains)
-    ]
+    picked = [jax.tree.map(lambda a, i=i: pick(a, i), d) for i, d in enumerate(domains)]
     frames = np.zeros((len(index), sum(d.frames.shape[1] for d in picked), source.dim))
     row = column = 0
     for d in picked:

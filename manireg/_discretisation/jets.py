@@ -14,10 +14,9 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 from scipy.spatial import KDTree
 
-from .._programs.sizes import at_each, bucket
+from .._programs.sizes import at_each, data_bucket
 from .local_polynomials import COVERED, LocalPolynomials, basis_values
-from .taylor import basis_series
-from .taylor import second_derivative_pairs as second_derivative_pairs
+from .taylor import basis_series, second_derivative_pairs as second_derivative_pairs
 
 ELEMENTS = 64  # whose values are taken at a time
 AT_A_TIME = 16  # whose jets are
@@ -37,6 +36,8 @@ class Jets(eqx.Module):
     """Which of the Q points this is; padding repeats the first of the element."""
     mask: Float[Array, "e p"]
     """1, or 0 for padding."""
+    count: Int[Array, ""]
+    """Of the elements that hold points; the others, after them, are padding."""
     buckets: tuple[tuple[int, int, int], ...] = eqx.field(static=True)
     """Elements `start` to `stop` have at most U basis functions: `(start, stop, U)`."""
 
@@ -75,18 +76,20 @@ def jets_of(
         arrays = (a[some] for a in (*geometry, near))
         parts.append(basis_series(basis, *arrays))
     matrices = np.concatenate(parts)
-    arrays = jax.device_put((matrices, _columns(basis, near), index, mask))
+    arrays = matrices, _columns(basis, near), index, mask, np.array(len(near))
+    arrays = jax.device_put(arrays)
     return Jets(*arrays, _buckets(near, basis))
 
 
 def value_jets(
     basis: LocalPolynomials, points: Float[ArrayLike, "Q s"], energy_jets: Jets
 ) -> Jets:
-    """Values only. Shapes depend on the `bucket` of the number of points and, as far as
-    possible, on `energy_jets`, not on where the points lie: new data reuse a compiled
+    """Values only. Shapes depend on the `data_bucket` of the number of points and, as far
+    as possible, on `energy_jets`, not on where the points lie: new data reuse a compiled
     program."""
-    where, most = np.asarray(points), bucket(len(points))
-    largest = max(1, most // len(energy_jets.columns))
+    where, most = np.asarray(points), data_bucket(len(points))
+    # points in an element: spread evenly, they reach no farther than those of the energy
+    largest = max(1, most // (4 * len(energy_jets.columns)))
     cells = _bisect(where, largest)
     overlap = energy_jets.columns.shape[1] // basis.size
     index, mask, near = _elements(basis, where, cells, overlap)
@@ -95,7 +98,7 @@ def value_jets(
     e, U = max(len(cells), _cells(most, largest)), columns.shape[1]
     index, mask = _grown(index, 0, e, largest), _grown(mask, 0.0, e, largest)
     matrices = _grown(matrices, 0.0, e, largest)
-    arrays = matrices, _grown(columns, -1, e), index, mask
+    arrays = matrices, _grown(columns, -1, e), index, mask, np.array(len(near))
     return Jets(*jax.device_put(arrays), ((0, e, U),))
 
 

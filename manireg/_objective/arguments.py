@@ -5,7 +5,7 @@ import jax
 import numpy as np
 from jaxtyping import ArrayLike, PyTree
 
-from .._programs.sizes import bucket, filled
+from .._programs.sizes import data_bucket, filled
 from .._sources.checks import is_concrete
 from .problem import Problem
 
@@ -16,7 +16,7 @@ def argument(problem: Problem) -> Problem:
     problem = eqx.tree_at(lambda p: (p.source, p.x), problem, (None, None))
     if not is_concrete(*jax.tree.leaves(problem)):
         return problem
-    size = bucket(len(problem.y))
+    size = data_bucket(len(problem.y))
     more = lambda a: jax.device_put(filled(a, size))
     weights = np.zeros(size)
     weights[: len(problem.y)] = problem.weights
@@ -30,7 +30,7 @@ def argument(problem: Problem) -> Problem:
 
 def of_data(array: ArrayLike, size: int) -> np.ndarray:
     """An array with an entry for each datum, filled up like the problem's."""
-    return filled(array, bucket(size))
+    return filled(array, data_bucket(size))
 
 
 def on_host(tree: PyTree) -> PyTree:

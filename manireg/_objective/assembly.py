@@ -13,7 +13,7 @@ from .._algebra.chunks import scan_chunks
 from .._algebra.sparse import SparseSymmetric, SparsityPattern
 from .._discretisation.jets import Jets
 
-CHUNK_BYTES = 8_000_000  # assembled at a time: few stay in the cache
+CHUNK_BYTES = 1_000_000  # assembled at a time: few stay in the cache
 
 
 class PointHessians(eqx.Module):
@@ -38,7 +38,8 @@ def assembled(
         jets, rows = family.jets, np.array(family.rows)
         for (start, stop, U), into in zip(jets.buckets, family.places, strict=True):
             matrices = jets.matrices[start:stop, :, rows, :U]
-            blocks = _add(blocks, family.at_points[start:stop], matrices, into)
+            count = jnp.minimum(jets.count - start, stop - start)
+            blocks = _add(blocks, family.at_points[start:stop], matrices, into, count)
     return SparseSymmetric(blocks, pattern)
 
 
@@ -47,17 +48,19 @@ def _add(
     local: Float[Array, "e p Jt Jt"],
     matrices: Float[Array, "e p J U"],
     into: Int[Array, "e pairs"],
+    count: Int[Array, ""],
 ):
     """Add A^T local A of all points, a chunk of elements at a time."""
     e, p, J, U = matrices.shape
     t = local.shape[-1] // J
-    largest = CHUNK_BYTES / (local.dtype.itemsize * t * (t + 1) / 2 * p * J * U)
+    halves, wholes = t * (t + 1) / 2 * p * J * U, into.shape[1] * blocks[0].size
+    largest = CHUNK_BYTES / (local.dtype.itemsize * max(halves, wholes))
 
     def add(blocks, chunk, new):
         local, matrices, into = chunk
         return _add_chunk(blocks, local * new[:, None, None, None], matrices, into)
 
-    return scan_chunks(add, blocks, (local, matrices, into), largest)
+    return scan_chunks(add, blocks, (local, matrices, into), largest, count)
 
 
 def _add_chunk(blocks, local, matrices, into):

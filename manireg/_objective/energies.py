@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .._discretisation.taylor import second_derivative_pairs as _pairs
 from .._discretisation.spacing import data_spacings
+from .._discretisation.taylor import second_derivative_pairs as _pairs
 from .._input.precision import as_scalar
 from ..manifolds import AbstractManifold
 from .terms import AbstractTerm, Jet, project_flat

@@ -94,7 +94,7 @@ def point_hessians(
     def by(of_element: Callable) -> list[Float[Array, "e p Jt Jt"]]:
         """At all points of both."""
         return [
-            _each_element(of_element(site, stage), site.near, j, site.arguments)
+            _each_element(of_element(site, stage), site, j)
             * site.weights[:, :, None, None]
             for site, j in zip(both, jets)
         ]
@@ -147,11 +147,12 @@ def _second_derivatives(site: Site, stage: Stage) -> Callable:
     return of_element
 
 
-def _each_element(f, near, jets: Float[Array, "e p J t"], arguments):
+def _each_element(f: Callable, site: Site, jets: Float[Array, "e p J t"]):
     """`f` of every element, so many at a time that what it passes through stays in the
     cache (measured: all at once takes three to four times as long)."""
-    e, p = jets.shape[:2]
-    return map_chunks(lambda a: f(*a), (near, jets, arguments), CHUNK_POINTS / p)
+    arrays = site.near, jets, site.arguments
+    most = CHUNK_POINTS / jets.shape[1]
+    return map_chunks(lambda a: f(*a), arrays, most, site.jets.count)
 
 
 def _derivatives(f, jets: Float[Array, "p J t"], rows) -> Float[Array, "jt p ..."]:

@@ -12,6 +12,7 @@ from .program import program
 
 ROWS = 4096  # at most, of a program that works row by row
 FEWEST_ROWS = 16
+FEW_DATA = 48, 192, 768
 
 
 def bucket(n: int) -> int:
@@ -19,6 +20,12 @@ def bucket(n: int) -> int:
     between them, a quarter larger than n on average and half at worst."""
     power = 1 << max(n - 1, 0).bit_length()
     return power * 3 // 4 if n <= power * 3 // 4 else power
+
+
+def data_bucket(k: int) -> int:
+    """The same of data, of which few cost less than one more program: 48, 192, 768, then
+    as `bucket`."""
+    return next((size for size in FEW_DATA if k <= size), bucket(k))
 
 
 def filled(array: Any, size: int) -> np.ndarray:

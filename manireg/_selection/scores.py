@@ -205,10 +205,10 @@ def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
     return np.minimum(errors, np.quantile(errors, 0.9))
 
 
-_free = program(most=8)(free_solution)
+_free = program(most=16)(free_solution)
 
 
-@program(most=8)
+@program(most=16)
 def _fit_and_score(
     problem: Problem, lam, w, solvers: AbstractSolvers, rtol, max_steps, certify
 ):

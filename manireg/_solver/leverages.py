@@ -32,7 +32,7 @@ def left_out_errors(
     ((_, _, U),), (places,) = jets.buckets, problem.data_places
     values = jets.matrices[:, :, 0, :U] * jets.mask[:, :, None]
     values = values.reshape(*values.shape[:2], -1, problem.pattern.functions)
-    elements = Elements(values, jets.columns[:, :U], places)
+    elements = Elements(values, jets.columns[:, :U], jets.count, places)
     covariance = solvers.positive.covariances(hessian, elements)
     leverage = projection @ covariance @ jnp.swapaxes(projection, -1, -2)
     share = (problem.weights / jnp.sum(problem.weights))[jets.index]

@@ -20,8 +20,7 @@ from .._algebra.cholesky import (
 )
 from .._algebra.sparse import SparseSymmetric
 from .._objective.assembly import assembled
-from .._objective.hessian import exact as exact_hessian
-from .._objective.hessian import gauss_newton, point_hessians
+from .._objective.hessian import exact as exact_hessian, gauss_newton, point_hessians
 from .._objective.sites import Stage
 from .newton import Direction
 
@@ -178,7 +177,9 @@ def direct_solvers(kind: str = "auto", dim: int = 2) -> AbstractSolvers:
     if kind == "auto":
         kind = "sparse" if jax.default_backend() == "cpu" else "dense"
     if kind == "sparse":
-        return Shifting(BandCholesky()) if dim == 1 else Preconditioned(SparseCholesky())
+        return (
+            Shifting(BandCholesky()) if dim == 1 else Preconditioned(SparseCholesky())
+        )
     if kind == "dense":
         return Shifting(DenseCholesky())
     raise ValueError(

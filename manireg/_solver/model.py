@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from .._discretisation.jets import centres_near
 from .._discretisation.local_polynomials import (
@@ -79,14 +79,14 @@ def evaluate(
     w: Float[Array, "KC t"],
     x: Float[Array, "n s"],
     origin: Float[Array, " t"],
-) -> tuple[Float[Array, "n t"], Bool[ArrayLike, ""]]:
+) -> tuple[Float[Array, "n t"], Bool[Array, ""]]:
     """Psi at `x`, before the projection to N; and whether all of `x` is covered. Traced
     points are compared with all centres, others only with those near them."""
     owner = basis, w, origin
     if _is_host(owner, x):
         near = centres_near(basis, np.asarray(x))
         values, covered = at_each(_psi, owner, x, near)
-        return jax.device_put(values), np.asarray(np.all(covered))
+        return jax.device_put((values, np.all(covered)))
     everywhere = jnp.arange(len(basis.centres))
     one = lambda x: _psi(owner, x, everywhere)
     values, covered = jax.lax.map(one, x, batch_size=256)

@@ -230,7 +230,12 @@ class Newton(optx.AbstractMinimiser):
             return (kinds > 0) & ~(jnp.isfinite(decrease) & (decrease > 0))
 
         no = jnp.array(False)
-        start = (kinds, Direction(last.step, no, last.model), -jnp.ones_like(last.f), no)
+        start = (
+            kinds,
+            Direction(last.step, no, last.model),
+            -jnp.ones_like(last.f),
+            no,
+        )
         left, found, decrease, convex = jax.lax.while_loop(unfinished, attempt, start)
         return found, decrease, (kinds == 2) & (left == 1), convex
 

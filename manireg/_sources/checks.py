@@ -65,7 +65,9 @@ def check_inputs(source: AbstractSource, x) -> tuple[Array, bool]:
     return source.to_ambient(eqx.error_if(x, bad, message)), single
 
 
-def check_data(source: AbstractSource, target: AbstractManifold, x, y, weights):
+def check_data(
+    source: AbstractSource, target: AbstractManifold, x, y, weights
+) -> tuple[Array, Array, Array]:
     """Ambient coordinates of `x (k, s)` and of `y (k, t)` projected onto the target,
     `weights (k,)`."""
     if not isinstance(target, AbstractManifold):

@@ -1,8 +1,8 @@
 """The flat torus: periodic data, with the energies of flat space."""
 
-import equinox as eqx
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np

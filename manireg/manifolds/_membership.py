@@ -1,7 +1,6 @@
 """Whether data lie on a manifold: each factor of a product by its own size."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 

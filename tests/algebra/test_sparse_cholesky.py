@@ -9,8 +9,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import sparsax
 import pytest
+import sparsax
 from block_matrices import FUNCTIONS, PATTERN, SIZES, random_matrix
 
 from manireg._algebra import covariances
@@ -72,7 +72,7 @@ def test_covariances(solver, chunk, monkeypatch):
         for own in near
     ]
     columns = (near[:, :, None] * FUNCTIONS + np.arange(FUNCTIONS)).reshape(3, -1)
-    elements = Elements(*map(jnp.asarray, (values, columns, np.array(places))))
+    elements = Elements(*map(jnp.asarray, (values, columns, 3, np.array(places))))
     found = eqx.filter_jit(solver.covariances)(matrix, elements)
     whole = inverse(matrix).reshape(*SIZES, *SIZES)
     for e, own in enumerate(columns):
