@@ -22,8 +22,8 @@ class Elements(NamedTuple):
     """Of the f functions of each centre at each point."""
     columns: Int[Array, "e L*f"]
     """Which unknowns these are, negative where there is none."""
-    count: Int[Array, ""]
-    """Of the elements that hold points."""
+    present: Int[Array, ""]
+    """How many of the elements that hold points."""
     places: Int[Array, "e pairs"]
     """Where the pairs of centres i <= j are among the blocks of the matrix."""
 
@@ -49,7 +49,7 @@ def from_blocks(
     points = elements.values.shape[1]
     size = 8 * len(i) * b * (b + points * b // f)
     arrays = elements.values, elements.places
-    return map_chunks(of_element, arrays, CHUNK_BYTES / size, elements.count)
+    return map_chunks(of_element, arrays, CHUNK_BYTES / size, elements.present)
 
 
 def from_solves(
@@ -81,5 +81,5 @@ def from_solves(
         part = jnp.einsum("epu,epuab->epab", values, found)
         return jax.lax.dynamic_update_slice_in_dim(covariances, part, start, 0)
 
-    count = -(-elements.count // chunk)
+    count = -(-elements.present // chunk)
     return jax.lax.fori_loop(0, count, next_chunk, jnp.zeros((e, p, t, t)))

@@ -49,3 +49,15 @@ def inverse_cholesky(a):
     far = 1e200  # what comes off it is lost in rounding
     pair = jnp.block([[a, jnp.zeros((n, n))], [jnp.eye(n), far * jnp.eye(n)]])
     return _cholesky(pair)[0][n:, :n].T
+
+
+def solve_symmetric(a, b):
+    """x of A x = b for symmetric matrices A `(..., t, t)`, `b (..., t)`; by elimination
+    without pivots, for those that are positive definite or about to be."""
+    t = a.shape[-1]
+    rows = jnp.concatenate([a, b[..., None]], axis=-1)
+    for i in range(t):
+        pivot = rows[..., i, :] / rows[..., i, i, None]
+        rows = rows - rows[..., :, i, None] * pivot[..., None, :]
+        rows = rows.at[..., i, :].set(pivot)
+    return rows[..., t]

@@ -78,7 +78,7 @@ def jets_of(
     matrices = np.concatenate(parts)
     arrays = matrices, _columns(basis, near), index, mask, np.array(len(near))
     arrays = jax.device_put(arrays)
-    return Jets(*arrays, _buckets(near, basis))
+    return Jets(*arrays, buckets=_buckets(near, basis))
 
 
 def value_jets(
@@ -87,7 +87,8 @@ def value_jets(
     """Values only. Shapes depend on the `data_bucket` of the number of points and, as far
     as possible, on `energy_jets`, not on where the points lie: new data reuse a compiled
     program."""
-    where, most = np.asarray(points), data_bucket(len(points))
+    where = np.asarray(points)
+    most = data_bucket(len(where))
     # points in an element: spread evenly, they reach no farther than those of the energy
     largest = max(1, most // (4 * len(energy_jets.columns)))
     cells = _bisect(where, largest)
@@ -99,7 +100,7 @@ def value_jets(
     index, mask = _grown(index, 0, e, largest), _grown(mask, 0.0, e, largest)
     matrices = _grown(matrices, 0.0, e, largest)
     arrays = matrices, _grown(columns, -1, e), index, mask, np.array(len(near))
-    return Jets(*jax.device_put(arrays), ((0, e, U),))
+    return Jets(*jax.device_put(arrays), buckets=((0, e, U),))
 
 
 def centres_near(

@@ -68,7 +68,7 @@ def local_polynomials(
     exponents = _exponents(centres.dim, s, degree)
     mixing = _orthonormal(centres.points, frames, widths, exponents, around.points)
     arrays = jax.device_put((centres.points, frames, widths, mixing))
-    return LocalPolynomials(*arrays, centres.dim, degree)
+    return LocalPolynomials(*arrays, dim=centres.dim, degree=degree)
 
 
 def _exponents(m: int, s: int, degree: int) -> tuple[tuple[int, ...], ...]:

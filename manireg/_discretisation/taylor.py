@@ -41,7 +41,7 @@ def basis_series(
     # coordinates in the frame of each centre, first axis last
     local = np.moveaxis(np.einsum("jepls,elsc->jeplc", scaled, axes), -1, 0)
 
-    rest = -sum(times(x, x) for x in local)
+    rest = -np.sum([times(x, x) for x in local], axis=0)
     rest[0] += 1.0
     rest *= (rest[0] > 0) & (near >= 0)[:, None]  # beyond the support
     squared = times(rest, rest)

@@ -11,8 +11,8 @@ from .problem import Problem
 
 
 def argument(problem: Problem) -> Problem:
-    """The same without what programs do not read, filled up with data of weight 0, so that
-    problems of similar size share them. Of one that is traced the data stay as they are."""
+    """The same without what programs do not read, filled up with data of weight 0, so
+    that problems of similar size share them. Traced data stay as they are."""
     problem = eqx.tree_at(lambda p: (p.source, p.x), problem, (None, None))
     if not is_concrete(*jax.tree.leaves(problem)):
         return problem

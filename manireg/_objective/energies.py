@@ -150,10 +150,11 @@ def affine_derivative(
     x: Float[Array, "k s"], y: Float[Array, "k t"], weights: Float[Array, " k"]
 ) -> Float[Array, "s t"]:
     """That of the affine map that fits the data best."""
-    x, y, weights = map(np.asarray, (x, y, weights))
-    share = (weights / np.sum(weights))[:, None]
+    total = np.asarray(weights)
+    share = (total / np.sum(total))[:, None]
     centre = lambda a: np.sqrt(share) * (a - np.sum(share * a, axis=0))
-    return jax.device_put(np.linalg.lstsq(centre(x), centre(y), rcond=THIN)[0])
+    x, y = (centre(np.asarray(a)) for a in (x, y))
+    return jax.device_put(np.linalg.lstsq(x, y, rcond=THIN)[0])
 
 
 def _bending(target: AbstractManifold, jet: Jet) -> Float[Array, "r t"]:

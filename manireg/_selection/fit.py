@@ -11,7 +11,7 @@ from .._source import AbstractSource
 from ..manifolds import AbstractManifold
 from .cross_validate import cross_validate
 from .leave_one_out import leave_one_out
-from .scores import TO_THE_END
+from .scores import STEPS_TO_THE_END
 
 
 def fit(
@@ -71,6 +71,6 @@ def fit(
         return cross_validate(source, target, x, y, **data, **options).model
     if lam is None:
         model = leave_one_out(source, target, x, y, **data, **options).model
-        return checked(model, TO_THE_END[1])
+        return checked(model, STEPS_TO_THE_END)
     minimise = solve_geodesic if loss == "geodesic" else solve
     return minimise(make_problem(source, target, x, y, **data), lam, **options)

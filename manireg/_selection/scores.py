@@ -17,9 +17,10 @@ from .._objective.arguments import argument, of_data
 from .._objective.objective import objective
 from .._objective.problem import Problem, psi_at_data
 from .._programs.program import program
-from .._solver.leverages import left_out_errors
+from .._solver.fitted import Limits, fitted
 from .._solver.linear import AbstractSolvers, direct_solvers
 from .._solver.minimise import gauge, minimise, newton_minimiser, stage_of
+from .._solver.minimum import is_successful
 from .._solver.model import RegressionMap, regression_map
 from .._solver.solve import solve
 from .._solver.starts import free_solution, starts_of
@@ -30,7 +31,8 @@ from .sweep import sweep
 # of the time; measured on curves, errors that change mostly grow by 1 to 3 %.
 COARSE = 1e-3
 RTOL = 1e-4  # the same of a fit to all data
-TO_THE_END = 1e-12, 256  # the same of the fit that is chosen, and trial steps for it
+STEPS_TO_THE_END = 256
+TO_THE_END = Limits(1e-12, STEPS_TO_THE_END, certify=True)  # of the one that is chosen
 
 
 class Fit(NamedTuple):
@@ -172,7 +174,8 @@ class LeaveOneOut(AbstractScore):
         return _free(argument(self.problem), lam, _solvers(self))
 
     def fit(self, lam, place):
-        model, errors, successful = self._fit(lam, place, RTOL, self.max_steps, False)
+        limits = Limits(RTOL, self.max_steps, certify=False)
+        model, errors = self._fit(lam, place, limits, scored=True)
         weights = np.asarray(self.problem.weights)
         heavy = weights > 0
         # in units of the mean weight
@@ -181,6 +184,7 @@ class LeaveOneOut(AbstractScore):
         w = model.coefficients
         # a fit that ends in no numbers is no start for the next
         place = w if np.all(np.isfinite(np.asarray(w))) else place
+        successful = is_successful(model.result)
         return Fit(place, scores, np.full(scores.shape, successful), model)
 
     def trimmed(self, scores):
@@ -188,14 +192,13 @@ class LeaveOneOut(AbstractScore):
 
     def model(self, lam, fit):
         """By the program of the path, now to the end."""
-        return self._fit(lam, fit.place, *TO_THE_END, True)[0]
+        return self._fit(lam, fit.place, TO_THE_END, scored=False)[0]
 
-    def _fit(self, lam, place, rtol: float, max_steps: int, certify: bool):
-        limits = np.asarray(rtol), np.asarray(max_steps), np.asarray(certify)
-        found, errors, successful = _fit_and_score(
-            argument(self.problem), lam, place, _solvers(self), *limits
-        )
-        return regression_map(self.problem, *found), errors, bool(successful)
+    def _fit(self, lam, place, limits: Limits, scored: bool):
+        given, solvers = argument(self.problem), _solvers(self)
+        found, errors = fitted(given, lam, place, limits, solvers, scored=scored)
+        fit = found.w, lam, found.energies, found.result, found.stats
+        return regression_map(self.problem, *fit), errors
 
 
 def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
@@ -206,21 +209,3 @@ def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
 
 
 _free = program(most=16)(free_solution)
-
-
-@program(most=16)
-def _fit_and_score(
-    problem: Problem, lam, w, solvers: AbstractSolvers, rtol, max_steps, certify
-):
-    newton = newton_minimiser(
-        solvers, rtol, max_steps, certify=certify, keep_model=True
-    )
-    found = minimise(problem, lam, w, "projected", newton)
-    stage = stage_of(problem, lam, found.gamma, "projected", found.w)
-    errors = jax.lax.cond(
-        certify,
-        lambda: jnp.zeros(len(problem.y)),  # the fit that is chosen needs none
-        lambda: left_out_errors(found.w, stage, found.model, solvers),
-    )
-    fit = found.w, lam, found.energies, found.result, found.stats
-    return fit, errors, found.result == optx.RESULTS.successful

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._algebra.covariances import Elements
+from .._algebra.small import solve_symmetric
 from .._algebra.sparse import SparseSymmetric
 from .._discretisation.jets import in_order
 from .._objective.problem import psi_jets
@@ -37,5 +38,5 @@ def left_out_errors(
     leverage = projection @ covariance @ jnp.swapaxes(projection, -1, -2)
     share = (problem.weights / jnp.sum(problem.weights))[jets.index]
     left = jnp.eye(t) - 2 * share[:, :, None, None] * leverage
-    moved = jnp.linalg.solve(left, residual[..., None])[..., 0]
+    moved = solve_symmetric(left, residual)
     return jnp.linalg.norm(in_order(jets, moved, k), axis=1)

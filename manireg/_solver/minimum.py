@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, ScalarLike
 
@@ -24,8 +25,13 @@ class Minimum(NamedTuple):
     energies: Energies
     result: optx.RESULTS
     stats: dict[str, Any]
-    model: SparseSymmetric
+    model: SparseSymmetric | None
     """Of the Hessian, there if `newton.keep_model`, else at some point near."""
+
+
+def is_successful(result: optx.RESULTS) -> bool:
+    """Of one that is known, without compiling a comparison."""
+    return int(np.asarray(result._value)) == int(optx.RESULTS.successful._value)
 
 
 def newton_solve(newton: Newton, stage: Stage, w: Float[Array, "KC t"]) -> Minimum:

@@ -134,7 +134,7 @@ class Newton(optx.AbstractMinimiser):
 
     def step(self, fn, y, args, options, state, tags):
         last, search = state.accepted, state.search
-        # at once: what a gradient needs of the value would pass through a branch, all of it
+        # at once: what a gradient needs of the value would all pass through a branch
         value_and_grad = jax.value_and_grad(lambda y: fn(y, args), has_aux=True)
         (f_eval, aux_eval), grad = value_and_grad(state.y_eval)
         verdict = search.judge(f_eval, self.patience)

@@ -11,7 +11,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from .._input.numbers import Numbers
-from .._input.precision import check_x64
+from .._input.precision import as_scalar, check_x64
 from .._objective.arguments import argument
 from .._objective.hessian import exact, gauss_newton
 from .._objective.objective import objective
@@ -20,9 +20,10 @@ from .._objective.resolution import warn_where_coarse
 from .._objective.sites import Stage
 from .._programs.program import program
 from .._sources.checks import check_lam, is_concrete
+from .fitted import Limits, fitted
 from .linear import AbstractSolvers, direct_solvers
 from .minimise import Method, minimise, newton_minimiser, stage_of
-from .minimum import unsolved
+from .minimum import is_successful, unsolved
 from .model import RegressionMap, regression_map
 from .newton import add_counts
 from .starts import STRIDE, starts_of
@@ -87,16 +88,10 @@ def solve(
     _check_options(problem, method, starts, warm, max_steps)
     warn_where_coarse(problem, lam)
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
-    found = _solve(
-        argument(problem),
-        lam,
-        tuple(map(float, starts)),
-        warm,
-        method or "projected",
-        solvers,
-        np.asarray(rtol, float),
-        np.asarray(max_steps),
-    )
+    options = method or "projected", solvers, rtol, max_steps
+    known = is_concrete(*jax.tree.leaves((problem, lam, warm)))
+    find = _one_by_one if known else _in_one_program
+    found = find(argument(problem), lam, tuple(map(float, starts)), warm, *options)
     model = regression_map(problem, *found)
     return checked(model, max_steps) if throw else model
 
@@ -106,12 +101,12 @@ def checked(model: RegressionMap, max_steps: int) -> RegressionMap:
 
     **Raises** RuntimeError that says how far it came and what may help; of a traced model
     a run-time error."""
-    failed = model.result != optx.RESULTS.successful
-    if not is_concrete(failed):
+    if not is_concrete(*jax.tree.leaves(model.result)):
+        failed = model.result != optx.RESULTS.successful
         message = f"fit: Newton did not converge within max_steps = {max_steps}. {CURE}"
         w = eqx.error_if(model.coefficients, failed, message)
         return eqx.tree_at(lambda m: m.coefficients, model, w)
-    if failed:
+    if not is_successful(model.result):
         steps, energies = int(model.stats["num_steps"]), model.energies
         total = float(energies.loss + model.lam * energies.eells)
         raise RuntimeError(
@@ -150,22 +145,53 @@ def _check_options(problem: Problem, method, starts, warm, max_steps: int):
         raise ValueError(f"max_steps: must be at least 1, found {max_steps}.")
 
 
-@program(most=8)
-def _solve(problem, lam, starts, warm, method, solvers, rtol, max_steps):
+def _one_by_one(problem, lam, starts, warm, method, solvers, rtol, max_steps):
+    """By programs that all fits share. The minimum is the lowest of all starts, each
+    followed from its first lambda to `lam` in steps of at most a factor of `STRIDE`."""
+    lanes = []
+    if starts:
+        lanes += zip(*map(np.asarray, _starts(problem, lam, starts, method, solvers)))
+    if warm is not None:
+        lanes.append((warm, np.asarray(lam)))
+    found = []
+    for w, now in lanes:
+        before = None
+        while True:
+            last = now >= np.asarray(lam)
+            limits = Limits(rtol if last else max(rtol, ON_THE_WAY), max_steps, last)
+            minimum, _ = fitted(
+                problem, as_scalar(now), w, limits, solvers, method=method
+            )
+            stats = {name: np.asarray(value) for name, value in minimum.stats.items()}
+            before = stats if before is None else add_counts(stats, before)
+            w = minimum.w
+            if last:
+                break
+            now = STRIDE * now if STRIDE * now < (1 - 1e-9) * lam else np.asarray(lam)
+        found.append(minimum._replace(stats=before))
+    objectives = [float(minimum.objective) for minimum in found]
+    best = found[int(np.argmin(np.nan_to_num(objectives, nan=np.inf)))]
+    return best.w, lam, best.energies, best.result, jax.device_put(best.stats)
+
+
+_starts = program(most=16)(starts_of)
+
+
+@eqx.filter_jit
+def _in_one_program(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     fixed = jax.lax.stop_gradient(eqx.filter(problem, eqx.is_array))
     fixed = eqx.combine(fixed, problem)
     frozen_lam = jax.lax.stop_gradient(lam)
-    limits = rtol, max_steps
-    arrays, rest = eqx.partition((fixed, frozen_lam, warm, limits), eqx.is_array)
+    arrays, rest = eqx.partition((fixed, frozen_lam, warm), eqx.is_array)
 
     # In lockstep all lanes of a vmap would wait for the slowest, and take both branches of
     # every choice: measured, 2.3 times the time of a loop.
     @jax.custom_batching.sequential_vmap
     def lowest(arrays):
-        problem, lam, warm, limits = eqx.combine(arrays, rest)
+        problem, lam, warm = eqx.combine(arrays, rest)
         lanes = [starts_of(problem, lam, starts, method, solvers)] if starts else []
         lanes += [] if warm is None else [(warm[None], lam[None])]
-        options = method, solvers, *limits
+        options = method, solvers, rtol, max_steps
         follow = lambda lane: _followed(problem, lam, lane, *options)
         lanes = jax.tree.map(lambda *parts: jnp.concatenate(parts), *lanes)
         candidates = jax.lax.map(follow, lanes)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from .._discretisation.jets import Jets, jet_values
 from .._objective.assembly import PointHessians, assembled
@@ -119,7 +119,7 @@ def _least_squares(
     problem: Problem,
     jets: Jets,
     costs: Float[Array, "e p J"],
-    wanted: Float[Array, "e p #J #n"],
+    wanted: Float[ArrayLike, "e p #J #n"],
     share: Float[Array, "d r"],
     y: Float[Array, "d r n"],
     solvers: AbstractSolvers,
