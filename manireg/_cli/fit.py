@@ -12,6 +12,8 @@ import manireg as mr
 
 from .. import plot
 from .._input.shown import shown
+from .._selection.scores import STEPS_TO_THE_END
+from .._solver.solve import checked
 from ..datasets._entries import is_data
 from ..datasets._text_tables import TextTable, read_text_table
 from .axes import Axis, axis_of, lambda_unit
@@ -20,7 +22,14 @@ from .errors import check_written, clean_errors
 from .report import report
 from .tables import Target, TargetName, read_target, write_table
 
-Folds = Annotated[int, typer.Option(min=2, help="Folds of the cross-validation.")]
+Folds = Annotated[
+    int | None,
+    typer.Option(
+        min=2,
+        help="Choose lambda by cross-validation with so many folds; by default each row is "
+        "left out in turn.",
+    ),
+]
 Seed = Annotated[int, typer.Option(help="Seed of the random folds.")]
 
 
@@ -52,7 +61,7 @@ def fit(
     ] = None,
     lam: Annotated[
         str,
-        typer.Option(help="Smoothness lambda: a number, or `auto`: cross-validation."),
+        typer.Option(help="Smoothness lambda: a number, or `auto`: cross-validated."),
     ] = "auto",
     predict: Annotated[
         str,
@@ -75,7 +84,7 @@ def fit(
             "end with an `error`."
         ),
     ] = Missing.drop,
-    folds: Folds = 10,
+    folds: Folds = None,
     seed: Seed = 0,
 ) -> None:
     """Fit a smooth map into a manifold to the rows of a table.
@@ -132,9 +141,8 @@ def fit(
 
         start, cv = time.perf_counter(), None
         if lam == "auto":
-            key, folds = jax.random.key(seed), min(folds, len(x))
-            cv = mr.cross_validate(*problem, folds=folds, key=key, weights=w)
-            model = cv.model
+            cv = chosen(problem, w, folds, seed)
+            model = checked(cv.model, STEPS_TO_THE_END)
         else:
             model = mr.fit(*problem, _number(lam), weights=w)
         predicted = np.array(model(queries.reshape(shape)))
@@ -150,6 +158,14 @@ def fit(
         more = {"dates": ", ".join(starts)} if starts else {}
         unit = lambda_unit(axes)
         report(summary, model, cv, there.degrees, seconds, written, more, unit)
+
+
+def chosen(problem, w, folds: int | None, seed: int) -> mr.CrossValidation:
+    """Lambda, by leaving out each row or so many folds of them."""
+    if folds is None:
+        return mr.leave_one_out(*problem, weights=w)
+    key, folds = jax.random.key(seed), min(folds, len(problem[2]))
+    return mr.cross_validate(*problem, folds=folds, key=key, weights=w)
 
 
 def _check_not_read(out: Path, *tables: Path) -> None:

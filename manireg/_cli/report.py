@@ -30,7 +30,9 @@ def report(
         )
 
     rows = {"data": data}
-    chosen = "(cross-validation)" if cv is not None else ""
+    chosen = "" if cv is None else "(cross-validation)"
+    if cv is not None and bool(cv.on_edge):
+        chosen = "(cross-validation, at the end of the grid)"
     rows["lambda"] = " ".join(filter(None, [shown(float(model.lam)), unit, chosen]))
     if cv is not None:
         rows["held-out error, mean"] = error(cv.score)
