@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from .._objective.problem import Problem
 from .._programs.program import program
@@ -27,7 +27,7 @@ class Limits(NamedTuple):
 def fitted(
     problem: Problem,
     lam: Float[Array, ""],
-    w: Float[Array, "KC t"],
+    w: Float[ArrayLike, "KC t"],
     limits: Limits,
     solvers: AbstractSolvers,
     *,
