@@ -26,8 +26,8 @@ Folds = Annotated[
     int | None,
     typer.Option(
         min=2,
-        help="Choose lambda by cross-validation with so many folds; by default each row is "
-        "left out in turn.",
+        help="Choose lambda by cross-validation with so many folds; by default each row "
+        "is left out in turn.",
     ),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of the random folds.")]
