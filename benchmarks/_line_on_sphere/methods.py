@@ -1,5 +1,5 @@
-"""The methods compared, each `(data, seed) -> Fit`; all that cross-validate use the same
-folds and the same score."""
+"""The methods compared, each `(data, seed) -> Fit`: ours as `mr.fit` chooses lambda by
+default; the rivals that cross-validate use the same folds and the same score."""
 
 import warnings
 from collections.abc import Callable
@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+import optimistix as optx
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
@@ -29,15 +30,12 @@ class Fit(NamedTuple):
 
 
 def eells(data: datasets.LineOnSphere, seed: int) -> Fit:
-    cv = mr.cross_validate(
-        SOURCE,
-        TARGET,
-        data.x,
-        data.y,
-        centres=CENTRES,
-        key=jax.random.key(seed),
-        progress=False,
+    """Nothing in it is random: the seed is not used."""
+    cv = mr.leave_one_out(
+        SOURCE, TARGET, data.x, data.y, centres=CENTRES, progress=False
     )
+    if cv.model.result != optx.RESULTS.successful:  # as `mr.fit` would
+        raise RuntimeError(f"no minimum at lambda {float(cv.lam):.3g}")
     return Fit(cv.model, float(cv.lam), cv)
 
 

@@ -57,3 +57,18 @@ def test_large_resumes(tmp_path):
     assert "| 100 | 1200 |" in (tmp_path / "large.md").read_text()
     subprocess.run([*command, *cell], check=True)
     assert file.read_text() == before
+
+
+@pytest.mark.slow
+def test_gondwana(tmp_path, data_folder):
+    """The default choice is within 0.15 degrees of a lambda that the held-out poles
+    themselves call good."""
+    command = [sys.executable, BENCHMARKS / "gondwana.py", "--out", tmp_path]
+    subprocess.run([*command, "--lams", "20"], check=True)
+    rows = [
+        line.strip("| ").split(" | ")
+        for line in (tmp_path / "gondwana.md").read_text().splitlines()
+        if line.startswith("| manireg")
+    ]
+    means = {name.split(" (")[0]: float(mean) for name, mean, *_ in rows}
+    assert means["manireg"] <= means["manireg, lambda 20 throughout"] + 0.15
