@@ -13,12 +13,18 @@ DEFAULT_CENTRES = {1: (32, 96), 2: (48, 384), 3: (64, 384)}  # least and most
 CLUSTERED = 384  # at most, where the data cluster
 
 
+def _default(k: int, m: int) -> int:
+    """Centres for k data, in few sizes: on curves not fewer; above, where each costs more,
+    about as many."""
+    return bucket(k) if m == 1 else bucket(round(0.8 * k))
+
+
 def sample(source: AbstractSource, x, centres: int | None, graded: bool, order: int):
     """Centres, the spacing around them, quadrature, and the volume that the data fill: all
     of it, or where they cluster what they would fill at their median density."""
     m = source.sampled.dim
     low, high = DEFAULT_CENTRES.get(m, DEFAULT_CENTRES[3])
-    n = int(np.clip(bucket(len(x)), low, high)) if centres is None else centres
+    n = int(np.clip(_default(len(x), m), low, high)) if centres is None else centres
     domain = discretise(source, n, x, graded, order)
     volume = float(np.sum(np.asarray(domain.weights)))
     data = np.asarray(x)

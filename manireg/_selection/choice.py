@@ -87,7 +87,11 @@ def choose(
         results = gathered(lams.tolist())
         best = lowest(results[0])
     scores, converged = jax.device_put(results[1:])
-    model = score.model(as_scalar(lams[best]), fits[float(lams[best])])
+    # a path downwards leaves wrong minima late: the next fit may lie in a lower one
+    near = [
+        fits[lam] for lam in lams[max(best - 1, 0) : best + 1].tolist() if lam in fits
+    ]
+    model = score.model(as_scalar(lams[best]), near)
     lam, lams = jax.device_put((lams[best], lams))
     return CrossValidation(lam, lams, scores, converged, model)
 

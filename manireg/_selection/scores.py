@@ -4,6 +4,7 @@
 from the Hessian what each datum would miss if left out."""
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -64,8 +65,9 @@ class AbstractScore(eqx.Module):
         """What a rule should see of the scores at one lambda."""
 
     @abstractmethod
-    def model(self, lam: Float[Array, ""], fit: Fit) -> RegressionMap:
-        """The map of all data at `lam`."""
+    def model(self, lam: Float[Array, ""], fits: Sequence[Fit]) -> RegressionMap:
+        """The map of all data at `lam`; `fits`: that at the next smaller lambda, if it was
+        visited, and last the one at `lam` itself."""
 
 
 def _solvers(score: "KFold | LeaveOneOut") -> AbstractSolvers:
@@ -100,8 +102,8 @@ class KFold(AbstractScore):
         """With what the problem is filled up with, of weight 0."""
         return of_data(self.training.T, len(self.problem.y)).T
 
-    def model(self, lam, fit):
-        warm = _lowest(fit.found, argument(self.problem), lam)
+    def model(self, lam, fits):
+        warm = _lowest(fits[-1].found, argument(self.problem), lam)
         return solve(self.problem, lam, warm=warm, linear_algebra=self.linear_algebra)
 
 
@@ -190,15 +192,24 @@ class LeaveOneOut(AbstractScore):
     def trimmed(self, scores):
         return cut_errors(scores)
 
-    def model(self, lam, fit):
-        """By the program of the path, now to the end."""
-        return self._fit(lam, fit.place, TO_THE_END, scored=False)[0]
+    def model(self, lam, fits):
+        """By the program of the path, now to the end: the lowest of both."""
+        places = [fit.place for fit in fits]
+        models = [self._fit(lam, w, TO_THE_END, scored=False)[0] for w in places]
+        return min(models, key=_total)
 
     def _fit(self, lam, place, limits: Limits, scored: bool):
         given, solvers = argument(self.problem), _solvers(self)
         found, errors = fitted(given, lam, place, limits, solvers, scored=scored)
         fit = found.w, lam, found.energies, found.result, found.stats
         return regression_map(self.problem, *fit), errors
+
+
+def _total(model: RegressionMap) -> float:
+    """The objective, but for the pull towards N; infinite if it is not a number."""
+    parts = (model.energies.loss, model.lam, model.energies.eells)
+    loss, lam, energy = map(float, parts)
+    return float(np.nan_to_num(loss + lam * energy, nan=np.inf))
 
 
 def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:

@@ -27,7 +27,7 @@ class Distance(AbstractScore):
     def trimmed(self, scores):
         return scores
 
-    def model(self, lam, fit):
+    def model(self, lam, fits):
         raise NotImplementedError
 
 
@@ -68,7 +68,7 @@ class Found(Exception):
 
 
 class Chosen(Distance):
-    def model(self, lam, fit):
+    def model(self, lam, fits):
         raise Found(float(lam))
 
 
