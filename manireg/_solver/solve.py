@@ -81,11 +81,10 @@ def solve(
 
     **Raises** ValueError for float32 mode and arguments that are not as above.
     **Warns** (`ResolutionWarning`) where the basis is coarser than data and lambda ask
-    for: more `centres` resolve more.
+    for and residuals of neighbouring data are alike: more `centres` resolve more.
     """
     lam = check_lam(lam)
     _check_options(problem, method, starts, warm, max_steps)
-    warn_where_coarse(problem, lam)
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
     found = _solve(
         argument(problem),
@@ -98,6 +97,7 @@ def solve(
         np.asarray(max_steps),
     )
     model = regression_map(problem, *found)
+    warn_where_coarse(problem, model.coefficients, model.lam)
     return checked(model, max_steps) if throw else model
 
 
