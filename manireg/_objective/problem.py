@@ -123,7 +123,8 @@ def make_problem(
       50..400 on surfaces, 60..150 in dimension 3 (on products about as many). More
       resolve finer detail; the cost grows with them. They are spread evenly, unless the
       data cluster: if at least a twentieth of them (and 4 to 9) lie five times as densely
-      as on average over the source, and more densely than the centres. Then centres and quadrature follow the data: their spacing
+      as on average over the source, and more densely than the centres. Then centres and
+      quadrature follow the data: their spacing
       is that of the data nearby (a ball around a datum that holds eight others has eight
       times the volume h^m), growing by 0.3 to 0.45 per distance away from them; by
       default as many as that takes, up to 400 (200 in dimension 3), and with fewer all
