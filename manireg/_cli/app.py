@@ -88,7 +88,9 @@ def demo(
         every_second = np.where(np.arange(len(x)) % 2 == 0, w, 0.0)
         cv = chosen(problem, every_second, folds, seed)
         model = mr.fit(*problem, cv.lam, weights=w)
-        error = np.degrees(np.sqrt(sphere.squared_distance(model(x), y)))
+        error = np.degrees(
+            np.sqrt(sphere.squared_distance(model(x), jax.device_put(y)))
+        )
         seconds = time.perf_counter() - start
         picture = plot.sphere_path(
             model, x, y, a95=path.a95, label="age (million years)"

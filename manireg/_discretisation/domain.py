@@ -44,10 +44,9 @@ def nodes_per_axis(m: int) -> int:
     return {1: 10, 2: 4}.get(m, 3)
 
 
-def panels_of(m: int) -> tuple[int, int]:
-    """Panels a spacing and nodes in each: if there can be two, the kernel's joints fall on
-    panel ends."""
-    nodes = nodes_per_axis(m)
+def panels_of(nodes: int) -> tuple[int, int]:
+    """Panels a spacing and nodes in each, of so many nodes a spacing: if there can be two
+    panels, the kernel's joints fall on their ends."""
     return (2, nodes // 2) if nodes % 2 == 0 else (1, nodes)
 
 
@@ -93,7 +92,7 @@ def discretise(
 ) -> Domain:
     """Quadrature for a basis of about `n` centres: 10 points a centre on curves, 16 on
     surfaces (12 on point clouds), 27 in dimension 3 (fewer hides stiff modes of the
-    energy).
+    energy); products as any other source of their dimension.
 
     **Arguments:**
 
@@ -113,38 +112,48 @@ def discretise(
     space.
     """
     around = _checked_data(source, around, graded)
-    return seen_from(source, _quadrature(source.sampled, n, around, graded, order))
+    nodes = nodes_per_axis(source.sampled.dim)
+    domain = _quadrature(source.sampled, n, around, nodes, graded, order)
+    return seen_from(source, domain)
 
 
 def _quadrature(
-    source: AbstractSource, n: int, around, graded: bool = False, order: int = 2
+    source: AbstractSource,
+    n: int,
+    around,
+    nodes: int,
+    graded: bool = False,
+    order: int = 2,
 ) -> Domain:
+    """`nodes`: a centre and axis. Factors of products have those of the whole: with those
+    of curves and surfaces of their own, there would be 160 a centre on S^2 x R."""
     chart = source.chart(around)
     if chart is not None:
-        return sample_domain(grid(chart, _rules(chart, n)))
+        return sample_domain(grid(chart, _rules(chart, n, nodes)))
     if source.product(around) is not None:
-        return _product_domain(source, n, around, _quadrature)
+        build = functools.partial(_quadrature, nodes=nodes)
+        return _product_domain(source, n, around, build)
     if (known := source.known_points()) is not None:
         n = min(n, len(known[0])) * _ON_CLOUD
         known = source.known_points(n) or known
         sample = of_known(source, known, n, around, graded, order)
         return with_second_forms(source, *sample)
-    n = n * nodes_per_axis(source.dim) ** source.dim
+    n = n * nodes**source.dim
     return with_second_forms(source, *quasi_uniform(source, n, with_weights=True))
 
 
-def _rules(chart: Chart, n: int):
+def _rules(chart: Chart, n: int, nodes: int):
     """Rules for about `n` cells of a chart, along each axis."""
-    m, axes = len(chart.lower), []
+    axes = []
     for low, high, periodic, count in zip(
         chart.lower, chart.upper, chart.periodic, axis_counts(chart, n)
     ):
         if periodic:
-            nodes = np.linspace(low, high, count * nodes_per_axis(m) + 1)[:-1]
-            axes.append((nodes, np.full(len(nodes), (high - low) / len(nodes))))
+            even = np.linspace(low, high, count * nodes + 1)[:-1]
+            axes.append((even, np.full(len(even), (high - low) / len(even))))
         else:
-            panels, nodes = panels_of(m)
-            axes.append(gauss_panels(low, high, count * panels, nodes))
+            panels, inside = panels_of(nodes)
+            axes.append(gauss_panels(low, high, count * panels, inside))
     return axes
 
 

@@ -72,7 +72,7 @@ def _in_charts(
     nodes = sample_domain(on_cells(atlas, cells))
     h = spacing.at(scale)(np.asarray(nodes.points))
     h = np.asarray(nodes.weights) if m == 1 else NARROWER * h
-    x, weights = gauss_panels(-1.0, 1.0, *panels_of(m))
+    x, weights = gauss_panels(-1.0, 1.0, *panels_of(nodes_per_axis(m)))
     quadrature = sample_domain(on_cells(atlas, cells, (x, weights / 2)))
     return Followed(nodes, h, quadrature)
 

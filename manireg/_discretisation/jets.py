@@ -53,6 +53,13 @@ def in_order(jets: Jets, values: Float[Array, "e p t"], k: int) -> Float[Array, 
     return jnp.zeros((k, values.shape[2])).at[jets.index].add(values)
 
 
+def slots_of(jets: Jets, k: int) -> Int[Array, " k"]:
+    """Where each of k points is among all places of elements: `element * p + place`."""
+    taken = jets.mask.ravel() > 0
+    slots = jnp.where(taken, jnp.arange(len(taken)), 0)
+    return jnp.zeros(k, slots.dtype).at[jets.index.ravel()].add(slots)
+
+
 def bucket_centres(jets: Jets, functions: int) -> list[Int[np.ndarray, "_ _"]]:
     """The centres of the elements of each bucket, negative for padding."""
     near = np.asarray(jets.columns)[:, ::functions] // functions  # -1 // f is -1

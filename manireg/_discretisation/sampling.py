@@ -9,8 +9,8 @@ from .following import follow
 from .local_spacing import clustered_spacing
 from .spacing import local_spacings
 
-DEFAULT_CENTRES = {1: (32, 96), 2: (48, 384), 3: (64, 384)}  # least and most
-CLUSTERED = 384  # at most, where the data cluster
+DEFAULT_CENTRES = {1: (32, 96), 2: (48, 384), 3: (64, 144)}  # least and most
+CLUSTERED = {1: 384, 2: 384, 3: 192}  # at most, where the data cluster
 
 
 def _default(k: int, m: int) -> int:
@@ -30,7 +30,7 @@ def sample(source: AbstractSource, x, centres: int | None, graded: bool, order: 
     data = np.asarray(x)
     spacing = None if graded else clustered_spacing(data, m, volume, n, low)
     if spacing is not None:
-        most = CLUSTERED if centres is None else centres
+        most = CLUSTERED.get(m, CLUSTERED[3]) if centres is None else centres
         followed = follow(source, spacing, most, x, finer=centres is not None)
         if followed is not None:
             nodes, h, quadrature = followed

@@ -27,10 +27,10 @@ class AbstractEnergy(AbstractTerm):
     """gamma vol(M) of solves in one stage."""
     on_target: ClassVar[bool]
     """Whether it is that of a map into N: then Newton starts on N."""
-    degree: ClassVar[int]
-    """Of the local polynomials, by default."""
-    widths: ClassVar[tuple[float, float]]
-    """Of their supports in spacings, by default: on curves, above."""
+    degrees: ClassVar[tuple[int, int, int]]
+    """Of the local polynomials, by default: on curves, surfaces, in dimension 3."""
+    widths: ClassVar[tuple[float, float, float]]
+    """Of their supports in spacings, by default, likewise."""
 
     def penalised(self) -> "AbstractEnergy":
         """The one to be minimised with gamma raised in stages (`method="penalty"`)."""
@@ -65,8 +65,8 @@ class Eells(AbstractEnergy):
     order = 2
     gauge = 0.1  # holds Psi near N, costs 1e-4 of E
     on_target = True
-    degree = 2
-    widths = 2.5, 2.2
+    degrees = 2, 2, 1
+    widths = 2.5, 2.2, 1.5
 
     def residual(self, near: AbstractManifold, jet: Jet, args):
         value, first, second = jet
@@ -89,8 +89,8 @@ class PenalisedEells(AbstractEnergy):
     order = 2
     gauge = 0.1
     on_target = False
-    degree = 2
-    widths = 2.5, 2.2
+    degrees = 2, 2, 1
+    widths = 2.5, 2.2, 1.5
 
     def residual(self, near: AbstractManifold, jet: Jet, args):
         return _bending(near, jet)
@@ -105,8 +105,8 @@ class AmbientEells(AbstractEnergy):
     order = 2
     gauge = 10.0
     on_target = False
-    degree = 1
-    widths = 1.5, 1.5
+    degrees = 1, 1, 1
+    widths = 1.5, 1.5, 1.5
 
     def residual(self, near: AbstractManifold, jet: Jet, args):
         return _bending(near, jet)
@@ -126,8 +126,8 @@ class Tension(AbstractEnergy):
     order = 2
     gauge = 10.0
     on_target = False
-    degree = 1
-    widths = 1.5, 1.5
+    degrees = 1, 1, 1
+    widths = 1.5, 1.5, 1.5
 
     def arguments(self, x, y):
         return 1 / data_spacings(np.asarray(x), np.asarray(self.data))

@@ -120,21 +120,23 @@ def make_problem(
     - `weights`: `(k,)` of the squared errors, at least 0; default 1. Only ratios matter:
       the loss is a weighted mean. Data of weight 0 are not fitted and not scored.
     - `centres`: about how many local polynomials; default about k (in sizes that share
-      programs), within 32..96 on curves, 48..384 on surfaces, 64..384 above. More resolve finer detail; the cost grows with
-      them. They are spread evenly, unless the data cluster: if at least a twentieth of
-      them (and 4 to 9) lie five times as densely as on average over the source, and more
-      densely than the centres. Then centres and quadrature follow the data: their spacing
+      programs), within 32..96 on curves, 48..384 on surfaces, 64..144 in dimension 3 (on
+      products about as many). More resolve finer detail; the cost grows with them. They
+      are spread evenly, unless the data cluster: if at least a twentieth of them (and 4 to
+      9) lie five times as densely as on average over the source, and more densely than
+      the centres. Then centres and quadrature follow the data: their spacing
       is that of the data nearby (a ball around a datum that holds eight others has eight
       times the volume h^m), growing by 0.3 to 0.45 per distance away from them; by
-      default as many as that takes, up to 400, and with fewer all are farther apart by
-      the same factor. Lambda means the same. Not on point clouds (see `graded`) and on
-      products with a factor other than flat spaces, spheres, tori and cylinders: there a
-      `ResolutionWarning` in `solve` tells where more are needed.
-    - `degree`: of the local polynomials, at least 1; default 2, on `Ambient` sources 1
-      (linear in all directions).
+      default as many as that takes, up to 400 (200 in dimension 3), and with fewer all
+      are farther apart by the same factor. Lambda means the same. Not on point clouds
+      (see `graded`) and on products with a factor other than flat spaces, spheres, tori
+      and cylinders: there a `ResolutionWarning` in `solve` tells where more are needed.
+    - `degree`: of the local polynomials, at least 1; default 2, in dimension 3 and on
+      `Ambient` sources 1 (linear in all directions).
     - `width`: support radius of a local polynomial in units of the spacing
       $(\mathrm{vol}(M)/K)^{1/m}$, on point clouds and where the centres follow the data
-      of their local spacing; default 2.5 on curves, 2.2 above, 1.5 on `Ambient` sources.
+      of their local spacing; default 2.5 on curves, 2.2 on surfaces, 1.5 in dimension 3
+      (at 2.2 there a centre meets hundreds) and on `Ambient` sources.
     - `graded`: for point clouds: let resolution and smoothness follow the data. The
       centres' spacing h grows like 1 + d/D with the distance d to the nearest input (D:
       the mean of that distance among the inputs), and lambda in proportion to
@@ -166,14 +168,14 @@ def make_problem(
         energy = _default_energy(source, tension, x, y, weights)
     _check_terms(energy, terms)
     if degree is None:
-        degree = energy.degree
+        degree = energy.degrees[m - 1]
     if degree < 1:
         raise ValueError(
             f"degree: must be at least 1, found {degree}: affine maps have to cost "
             "nothing."
         )
     if width is None:
-        width = energy.widths[min(m, 2) - 1]
+        width = energy.widths[m - 1]
     nodes, spacing, domain, data_volume = sample(
         source, x, centres, graded, energy.order
     )

@@ -14,9 +14,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-SMALL = (
-    4_000_000  # bytes of arguments: work on them takes less time than its compilation
-)
+SMALL = 100e6  # bytes of arguments: a fit to them gains more than it loses by `QUICK`
 QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
 
 

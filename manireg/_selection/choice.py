@@ -27,9 +27,9 @@ class CrossValidation(eqx.Module):
     """The grid, ascending."""
     scores: Float[Array, "folds lams"]
     """Error on what each fold leaves out. Of `cross_validate` the (weighted) mean geodesic
-    error; of `leave_one_out`, where every datum of positive weight is a fold, the
-    predicted length of its residual, times its relative weight. Infinite where not
-    tried."""
+    error; of `leave_one_out`, where every datum of positive weight (or each of a
+    thousand) is a fold, the predicted length of its residual, times its relative
+    weight. Infinite where not tried."""
     converged: Bool[Array, "folds lams"]
     """Where Newton converged."""
     model: RegressionMap

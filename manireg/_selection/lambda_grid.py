@@ -10,6 +10,7 @@ from .._objective.problem import Problem
 from .._objective.wavelengths import lambda_of_wavelength, mean_spacing
 
 GRID = 20  # values of a default grid
+UNRESOLVED = 0.5  # wavelength, in spacings of the centres, that no basis tells from 0
 COARSE_STEP = 8.0  # largest factor between the values of a coarse one
 
 
@@ -36,6 +37,12 @@ def lambda_grid(problem: Problem, n: int | None = None) -> Float[Array, " n"]:
 
 
 def coarse_grid(problem: Problem) -> Float[Array, " lams"]:
-    """The same range in steps of at most a factor of 8."""
+    """The same range in steps of at most a factor of 8, but from wavelengths of half a
+    spacing of the centres: below, lambda hardly changes what the basis can follow."""
     low, high = np.log(np.asarray(lambda_grid(problem, 2)))
-    return lambda_grid(problem, 1 + int(np.ceil((high - low) / np.log(COARSE_STEP))))
+    here = on_host(problem)
+    centres = (here.data_volume / len(here.basis.centres)) ** (1 / problem.dim)
+    finest = np.log(lambda_of_wavelength(here, UNRESOLVED * centres))
+    low = min(max(low, finest), high)
+    n = 1 + int(np.ceil((high - low) / np.log(COARSE_STEP)))
+    return jax.device_put(np.exp(np.linspace(low, high, n)))

@@ -6,14 +6,17 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, ScalarLike
+from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
 
+from .._objective.arguments import of_data
 from .._objective.problem import Problem
 from .._programs.program import program
 from .leverages import left_out_errors
 from .linear import AbstractSolvers
 from .minimise import Method, minimise, newton_minimiser, stage_of
 from .minimum import Minimum
+
+SCORED = 1000  # enough for a mean: its standard error is a thirtieth of the errors' own
 
 
 class Limits(NamedTuple):
@@ -33,15 +36,29 @@ def fitted(
     *,
     method: Method = "projected",
     scored: bool = False,
-) -> tuple[Minimum, Float[Array, " size"]]:
+) -> tuple[Minimum, Float[np.ndarray, " n"]]:
     """The minimum next to `w` of an `argument(problem)`, without its model of the Hessian,
-    and with `scored` the errors of the data left out, else zeros."""
+    and with `scored` the errors of the `scored_data` left out, else zeros."""
+    data, on_curve = scored_data(problem), problem.basis.dim == 1
+    some = None if on_curve else (of_data(data, len(data)), np.asarray(len(data)))
     limits, scored = jax.tree.map(np.asarray, (tuple(limits), scored))
-    return _fitted(problem, lam, w, limits, scored, method, solvers)
+    found, errors = _fitted(problem, lam, w, limits, scored, some, method, solvers)
+    errors = np.asarray(errors)
+    return found, errors[data] if on_curve else errors[: len(data)]
+
+
+def scored_data(problem: Problem) -> Int[np.ndarray, " n"]:
+    """Indices of the data that scores are made of: those of positive weight. On a curve
+    all; elsewhere, where each takes solves of its own, not more than `SCORED`, the same at
+    every call."""
+    heavy = np.flatnonzero(np.asarray(problem.weights) > 0)
+    if problem.basis.dim == 1 or len(heavy) <= SCORED:
+        return heavy
+    return np.sort(np.random.default_rng(0).choice(heavy, SCORED, replace=False))
 
 
 @program(most=16)
-def _fitted(problem, lam, w, limits, scored, method, solvers) -> Any:
+def _fitted(problem, lam, w, limits, scored, data, method, solvers) -> Any:
     rtol, max_steps, certify = limits
     newton = newton_minimiser(
         solvers, rtol, max_steps, certify=certify, keep_model=scored
@@ -51,7 +68,7 @@ def _fitted(problem, lam, w, limits, scored, method, solvers) -> Any:
     def errors():
         stage = stage_of(problem, lam, found.gamma, method, found.w)
         assert found.model is not None
-        return left_out_errors(found.w, stage, found.model, solvers)
+        return left_out_errors(found.w, stage, found.model, solvers, data)
 
-    nothing = lambda: jnp.zeros(len(problem.y))
+    nothing = lambda: jnp.zeros(len(problem.y if data is None else data[0]))
     return found._replace(model=None), jax.lax.cond(scored, errors, nothing)

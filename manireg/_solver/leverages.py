@@ -3,13 +3,13 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._algebra.covariances import Elements
 from .._algebra.small import solve_symmetric
 from .._algebra.sparse import SparseSymmetric
-from .._discretisation.jets import in_order
-from .._objective.problem import psi_jets
+from .._discretisation.jets import in_order, slots_of
+from .._objective.problem import Problem, psi_jets
 from .._objective.sites import Stage, at_site, sites
 from .._objective.terms import project_flat
 from .linear import AbstractSolvers
@@ -20,9 +20,11 @@ def left_out_errors(
     stage: Stage,
     hessian: SparseSymmetric,
     solvers: AbstractSolvers,
-) -> Float[Array, " k"]:
+    scored: tuple[Int[Array, " n"], Int[Array, ""]] | None = None,
+) -> Float[Array, "_"]:
     """Length of each datum's residual in the fit without it, to first order. `hessian`:
-    at `w`; of its inverse are needed the blocks of centres that share a datum."""
+    at `w`; of its inverse are needed the blocks of centres that share a datum.
+    `scored`: the data wanted, and how many of them to look at; default all."""
     problem, (_, data) = stage.problem, sites(stage)
     jets, k, t = problem.data_jets, len(problem.y), problem.y.shape[1]
     psi = psi_jets(problem, jets, w)
@@ -30,13 +32,33 @@ def left_out_errors(
     landed = lambda near, jet, _: project_flat(near, jet.value)
     residual = at_site(data, landed, psi) - problem.y[jets.index]
     projection = at_site(data, slope, psi)
+    elements, index = _elements(problem), jets.index
+    if scored is not None:
+        chosen, count = scored
+        slots = slots_of(jets, k)[chosen]
+        element = slots // index.shape[1]
+        # each datum for itself: nothing is solved for places that are not taken
+        pick = lambda a: a.reshape(-1, *a.shape[2:])[slots][:, None]
+        residual, projection, index = map(pick, (residual, projection, index))
+        elements = Elements(
+            pick(elements.values),
+            elements.columns[element],
+            count,
+            elements.places[element],
+        )
+    covariance = solvers.positive.covariances(hessian, elements)
+    leverage = projection @ covariance @ jnp.swapaxes(projection, -1, -2)
+    share = (problem.weights / jnp.sum(problem.weights))[index]
+    left = jnp.eye(t) - 2 * share[:, :, None, None] * leverage
+    moved = solve_symmetric(left, residual)
+    moved = in_order(jets, moved, k) if scored is None else moved[:, 0]
+    return jnp.linalg.norm(moved, axis=1)
+
+
+def _elements(problem: Problem) -> Elements:
+    """Of all data."""
+    jets = problem.data_jets
     ((_, _, U),), (places,) = jets.buckets, problem.data_places
     values = jets.matrices[:, :, 0, :U] * jets.mask[:, :, None]
     values = values.reshape(*values.shape[:2], -1, problem.pattern.functions)
-    elements = Elements(values, jets.columns[:, :U], jets.count, places)
-    covariance = solvers.positive.covariances(hessian, elements)
-    leverage = projection @ covariance @ jnp.swapaxes(projection, -1, -2)
-    share = (problem.weights / jnp.sum(problem.weights))[jets.index]
-    left = jnp.eye(t) - 2 * share[:, :, None, None] * leverage
-    moved = solve_symmetric(left, residual)
-    return jnp.linalg.norm(in_order(jets, moved, k), axis=1)
+    return Elements(values, jets.columns[:, :U], jets.count, places)

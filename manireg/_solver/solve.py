@@ -82,17 +82,17 @@ def solve(
 
     **Raises** ValueError for float32 mode and arguments that are not as above.
     **Warns** (`ResolutionWarning`) where the basis is coarser than data and lambda ask
-    for: more `centres` resolve more.
+    for and residuals of neighbouring data are alike: more `centres` resolve more.
     """
     lam = check_lam(lam)
     _check_options(problem, method, starts, warm, max_steps)
-    warn_where_coarse(problem, lam)
     solvers = direct_solvers(linear_algebra, problem.basis.dim)
     options = method or "projected", solvers, rtol, max_steps
     known = is_concrete(*jax.tree.leaves((problem, lam, warm)))
     find = _one_by_one if known else _in_one_program
     found = find(argument(problem), lam, tuple(map(float, starts)), warm, *options)
     model = regression_map(problem, *found)
+    warn_where_coarse(problem, model.coefficients, model.lam)
     return checked(model, max_steps) if throw else model
 
 

@@ -1,8 +1,5 @@
 """Centres and quadrature follow the data where those cluster, and only there."""
 
-import warnings
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,7 +10,6 @@ from manireg._discretisation.domain import discretise
 from manireg._discretisation.following import follow
 from manireg._discretisation.local_spacing import clustered_spacing, spacings_of
 from manireg._discretisation.sampling import DEFAULT_CENTRES
-from manireg._objective.resolution import warn_where_coarse
 
 LINE = mr.Euclidean(1)
 BURSTS = np.concatenate([21600.0 * i + np.arange(60) for i in range(6)])
@@ -222,27 +218,3 @@ def test_region_of_a_sphere_as_a_thin_plate_in_its_plane():
         mr.Sphere(2), LINE, directions(*at), y[:, None], progress=False
     )
     assert rms(found.model(directions(*to))) < 1.2 * best
-
-
-def coarse(lam, centres, x=BURSTS, source=DAY):
-    problem = mr.make_problem(source, LINE, x, np.sin(x)[:, None], centres=centres)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        warn_where_coarse(problem, lam)
-    return [str(w.message) for w in caught]
-
-
-def test_a_basis_that_limits_the_fit_is_named():
-    (message,) = coarse(1e-3, 40)
-    assert message.startswith("centres: at 360 of 360 distinct inputs")
-    assert "lam = 0.001" in message
-    assert not coarse(1e12, 40)
-    assert not coarse(1e-6, 400)
-    even, unit = np.random.default_rng(0).random(400), mr.Interval(0, 1)
-    assert coarse(1e-13, 30, even, unit) and not coarse(1e-5, 30, even, unit)
-    assert not coarse(1e-13, None, even[:100], unit)
-
-
-def test_traced_lambdas_are_not_judged():
-    problem = mr.make_problem(DAY, LINE, BURSTS, np.sin(BURSTS)[:, None], centres=40)
-    jax.make_jaxpr(lambda lam: (warn_where_coarse(problem, lam), lam)[1])(1e-3)

@@ -2,6 +2,7 @@
 
 import gc
 import weakref
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,9 +20,9 @@ def compiled(monkeypatch):
     """Names of what is compiled from here on."""
     names = []
 
-    def listen(event, seconds, fun_name=None, **_):
+    def listen(event: str, duration_secs: float, **more: str | int) -> None:
         if event.endswith("backend_compile_duration"):
-            names.append(fun_name)
+            names.append(more.get("fun_name"))
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     yield names
@@ -98,7 +99,7 @@ def test_a_program_dropped_frees_what_it_held():
 
 def test_data_of_similar_size_compile_nothing(compiled):
     """Nor do other intervals, and queries of other numbers."""
-    sphere, options = mr.Sphere(2), {"progress": False}
+    sphere, options = mr.Sphere(2), dict[str, Any](progress=False)
     model = mr.fit(mr.Interval(0, 1), sphere, *track(70), **options)
     model(np.linspace(0, 1, 50))
     compiled.clear()

@@ -7,6 +7,7 @@ import pytest
 from curves import INTERVAL, X, curve_problem, sphere_data
 
 import manireg as mr
+from manireg._selection import scores
 
 K = len(X)
 Y = np.stack([np.sin(3 * X), np.cos(2 * X) + X], axis=1)
@@ -25,7 +26,7 @@ def refitted_errors(problem, lam):
         )
         share = weights[i] / weights.sum()
         model = mr.solve(without, lam / (1 - share))
-        off = jnp.linalg.norm(model(problem.x[i])[0] - problem.y[i])
+        off = jnp.linalg.norm(model(problem.x[i][None])[0] - problem.y[i])
         errors.append(off * weights[i] / weights[weights > 0].mean())
     return np.array(errors)
 
@@ -90,3 +91,22 @@ def test_a_problem_or_data_but_not_both(choose):
         choose(problem, weights=WEIGHTS, centres=80, graded=True)
     with pytest.raises(ValueError, match="^lams: lambda must be positive and finite"):
         choose(problem, [-1.0], progress=False)
+
+
+def test_on_surfaces_some_data_stand_for_many(monkeypatch):
+    """Their scores are what they are among all, each that of the fit without it."""
+    x = np.random.default_rng(3).random((90, 2))
+    y = np.sin(3 * x) + 0.2 * np.random.default_rng(4).normal(size=x.shape)
+    weights = 1.0 + (np.arange(90) % 3)
+    weights[::10] = 0.0
+    box, plane = mr.Box([0, 0], [1, 1]), mr.Euclidean(2)
+    problem = mr.make_problem(box, plane, x, y, weights=weights, centres=20)
+    lams = [1e-5, 1e-3]
+    every = mr.leave_one_out(problem, lams, progress=False).scores
+    np.testing.assert_allclose(every[:, 0], refitted_errors(problem, 1e-5), rtol=1e-5)
+    monkeypatch.setattr(fitted, "SCORED", 30)
+    some = np.asarray(mr.leave_one_out(problem, lams, progress=False).scores)
+    assert some.shape == (30, 2)
+    where = np.argmin(abs(some[:, :1] - every[:, 0]), axis=1)
+    assert len(np.unique(where)) == 30
+    np.testing.assert_allclose(some, every[where], rtol=1e-9)
