@@ -7,7 +7,7 @@ import pytest
 from curves import INTERVAL, X, curve_problem, sphere_data
 
 import manireg as mr
-from manireg._selection import scores
+from manireg._solver import fitted
 
 K = len(X)
 Y = np.stack([np.sin(3 * X), np.cos(2 * X) + X], axis=1)
