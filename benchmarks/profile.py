@@ -31,6 +31,7 @@ def main() -> None:
     parser.add_argument("--baseline", action="store_true")
     parser.add_argument("--curve", action="store_true", help="no heads")
     options = parser.parse_args()
+    from _profile.first import first_ratios
     from _profile.problems import curve, head
     from _profile.ratios import curve_ratios, head_ratios
     from _profile.report import table
@@ -46,7 +47,7 @@ def main() -> None:
         ratios[f"{name}: Newton iteration / factorisation"] = (
             found.iteration / found.factorisation
         )
-    ratios |= curve_ratios()
+    ratios |= first_ratios() | curve_ratios()
     if not options.curve:
         ratios |= head_ratios()
     parts.append("\n".join(f"- {name}: {value:.2f}" for name, value in ratios.items()))

@@ -148,16 +148,16 @@ def _check_options(problem: Problem, method, starts, warm, max_steps: int):
 def _one_by_one(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     """By programs that all fits share. The minimum is the lowest of all starts, each
     followed from its first lambda to `lam` in steps of at most a factor of `STRIDE`."""
-    lanes = []
+    lanes, goal = [], float(lam)
     if starts:
         lanes += zip(*map(np.asarray, _starts(problem, lam, starts, method, solvers)))
     if warm is not None:
-        lanes.append((warm, np.asarray(lam)))
+        lanes.append((warm, goal))
     found = []
     for w, now in lanes:
         before = None
         while True:
-            last = now >= np.asarray(lam)
+            last = bool(now >= goal)
             limits = Limits(rtol if last else max(rtol, ON_THE_WAY), max_steps, last)
             minimum, _ = fitted(
                 problem, as_scalar(now), w, limits, solvers, method=method
@@ -167,7 +167,7 @@ def _one_by_one(problem, lam, starts, warm, method, solvers, rtol, max_steps):
             w = minimum.w
             if last:
                 break
-            now = STRIDE * now if STRIDE * now < (1 - 1e-9) * lam else np.asarray(lam)
+            now = STRIDE * now if STRIDE * now < (1 - 1e-9) * goal else goal
         found.append(minimum._replace(stats=before))
     objectives = [float(minimum.objective) for minimum in found]
     best = found[int(np.argmin(np.nan_to_num(objectives, nan=np.inf)))]
