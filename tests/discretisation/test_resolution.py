@@ -10,6 +10,7 @@ from manireg._discretisation.domain import discretise
 from manireg._discretisation.following import follow
 from manireg._discretisation.local_spacing import clustered_spacing, spacings_of
 from manireg._discretisation.sampling import DEFAULT_CENTRES
+from manireg._programs.sizes import bucket
 
 LINE = mr.Euclidean(1)
 BURSTS = np.concatenate([21600.0 * i + np.arange(60) for i in range(6)])
@@ -62,7 +63,7 @@ def test_random_uniform_data_are_even(k):
 def test_even_data_have_even_centres():
     x = np.random.default_rng(0).random(40)
     problem = mr.make_problem(mr.Interval(0, 1), LINE, x, x[:, None])
-    assert len(problem.basis.centres) == 41
+    assert len(problem.basis.centres) == 49  # 48 spacings, of 32, 48, 64, 96
     assert np.all(problem.basis.widths == problem.basis.widths[0])
     assert np.isclose(problem.data_volume, 1)
 
@@ -122,7 +123,8 @@ def test_repeated_inputs_count_once():
 def test_number_of_centres():
     for n in (60, 150, 1000):
         nodes = followed(DAY, BURSTS, n, finer=True).nodes
-        assert 0.9 * n <= len(nodes.points) <= n
+        assert 0.65 * n <= len(nodes.points) <= n
+        assert len(nodes.points) == bucket(len(nodes.points))
 
 
 REGION = directions(*stations(0, 400))

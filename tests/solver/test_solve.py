@@ -65,10 +65,10 @@ def test_assembly_in_chunks(problem, monkeypatch):
     w = mr.solve(problem, 1e-2).coefficients
     stage = Stage(problem, LAM, 0.1, PenalisedEells())
     whole = gauss_newton(w, stage).blocks
-    elements, points, _, functions = problem.data_jets.matrices.shape
-    of_element = 8 * 6 * points * functions  # 6 pairs of coordinates
-    assert elements == 12  # eight and a rest of four
-    monkeypatch.setattr("manireg._objective.assembly.CHUNK_BYTES", 8 * of_element)
+    elements, pairs = problem.data_places[0].shape
+    assert 12 == problem.data_jets.count < elements  # in chunks of five, filled up
+    of_element = 8 * pairs * whole[0].size
+    monkeypatch.setattr("manireg._objective.assembly.CHUNK_BYTES", 5 * of_element)
     chunks = gauss_newton(w, stage).blocks
     np.testing.assert_allclose(chunks, whole, atol=1e-13 * float(jnp.abs(whole).max()))
 

