@@ -32,6 +32,7 @@ from .sweep import sweep
 # solves with the factor. A thousand tell lambdas apart as well as ten thousand.
 COARSE = 1e-3
 RTOL = 1e-4  # the same of a fit to all data
+EQUAL = 1e-9  # relative difference of objectives that is not worth a look
 STEPS_TO_THE_END = 256
 TO_THE_END = Limits(1e-12, STEPS_TO_THE_END, certify=True)  # of the one that is chosen
 
@@ -166,7 +167,7 @@ def _lowest(w: Float[Array, "folds KC t"], problem: Problem, lam):
 
 class LeaveOneOut(AbstractScore):
     """Length of each datum's residual in the fit without it, to first order, times its
-    relative weight; but on curves, of at most `SCORED` random data."""
+    relative weight; see `scored_data`."""
 
     problem: Problem
     linear_algebra: str = eqx.field(static=True)
@@ -193,10 +194,13 @@ class LeaveOneOut(AbstractScore):
         return cut_errors(scores)
 
     def model(self, lam, fits):
-        """By the program of the path, now to the end: the lowest of both."""
+        """By the program of the path, now to the end: the lowest of both, of equals the
+        one that converged."""
         places = [fit.place for fit in fits]
         models = [self._fit(lam, w, TO_THE_END, scored=False)[0] for w in places]
-        return min(models, key=_total)
+        lowest = min(map(_total, models)) * (1 + EQUAL)
+        equals = [model for model in models if _total(model) <= lowest] or models
+        return min(equals, key=lambda model: not is_successful(model.result))
 
     def _fit(self, lam, place, limits: Limits, scored: bool):
         given, solvers = argument(self.problem), _solvers(self)

@@ -53,7 +53,8 @@ def test_chosen_is_what_predicts_landmarks(name, both):
     ]
     errors = [np.linalg.norm(f.vertices - BENT.vertices, axis=1).mean() for f in found]
     assert errors[0] != errors[1]
-    assert errors[2] == min(errors)
+    # each ends where the objective falls by less than a thousandth
+    np.testing.assert_allclose(errors[2], min(errors[:2]), rtol=1e-3)
     assert found[2].cv is not None and found[2].cv.scores.shape == (40, 1)
 
 
