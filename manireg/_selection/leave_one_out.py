@@ -91,5 +91,7 @@ def leave_one_out(
         refine=default,
         progress=progress,
     )
-    warn_where_coarse(problem, cv.model.coefficients, cv.lam, least=np.asarray(cv.lams)[0])
+    warn_where_coarse(
+        problem, cv.model.coefficients, cv.lam, least=np.asarray(cv.lams)[0]
+    )
     return cv
