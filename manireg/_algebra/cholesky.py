@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from .banded import inverse_in_band, solve_banded
 from .covariances import Elements, from_blocks, from_solves
-from .sparse import SparseSymmetric, SparsityPattern
+from .sparse import SparseSymmetric
 
 RIDGES = (1e-14, 1e-12, 1e-10)  # times the diagonal, tried in turn
 LEAST = 1e-14  # times the largest number on the diagonal: what is less is zero
@@ -67,17 +67,15 @@ class SparseCholesky(AbstractPositive):
         i, j = operator.coordinates()
         values = _regular_blocks(operator, scale, self.ridge)
         entries = _of_this_device(i.ravel(), j.ravel(), values.ravel(), scale.size)
-        return entries, scale, operator.pattern
+        return entries, scale
 
     def compute(self, state, vector, options):
-        (i, j, values), scale, _ = state
+        (i, j, values), scale = state
         solution = sparsax.solve(i, j, values, _flat(scale, vector))
         return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
     def covariances(self, operator, elements):
-        state = self.init(operator, {})
-        solve = lambda sides: self.compute(state, sides, {})[0]
-        return from_solves(solve, operator.in_structure().shape, elements)
+        return from_solves(self, operator, elements)
 
 
 class BandCholesky(AbstractPositive):
@@ -134,9 +132,7 @@ class DenseCholesky(AbstractPositive):
         return solution, lx.RESULTS.successful, {}
 
     def covariances(self, operator, elements):
-        state = self.init(operator, {})
-        solve = lambda sides: self.compute(state, sides, {})[0]
-        return from_solves(solve, operator.in_structure().shape, elements)
+        return from_solves(self, operator, elements)
 
 
 def first_finite(
@@ -188,15 +184,11 @@ def _unflat(scale, vector, solution):
 
 def _regular_blocks(operator: SparseSymmetric, scale, ridge: float):
     """Of the scaled matrix, `ridge` added to its diagonal."""
-    blocks = _scaled(operator.blocks, scale, operator.pattern)
-    own = (operator.pattern.rows == operator.pattern.cols)[:, None, None]
+    scale = scale.reshape(operator.pattern.centres, -1)
+    rows, cols = operator.pattern.rows, operator.pattern.cols
+    blocks = operator.blocks * scale[rows][:, :, None] * scale[cols][:, None, :]
+    own = (rows == cols)[:, None, None]
     return blocks + ridge * own * jnp.eye(blocks.shape[-1])
-
-
-def _scaled(blocks: Float[Array, "nnz b b"], scale, pattern: SparsityPattern):
-    scale = scale.reshape(pattern.centres, -1)
-    left, right = scale[pattern.rows], scale[pattern.cols]
-    return blocks * left[:, :, None] * right[:, None, :]
 
 
 def _of_this_device(

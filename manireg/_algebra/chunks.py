@@ -32,10 +32,10 @@ def scan_chunks(
 def map_chunks(
     f: Callable[[PyTree], PyTree], arrays: PyTree, largest: float, count: Int[Array, ""]
 ) -> PyTree:
-    """`f` of the first `count` entries, stacked (zeros for the others): under vmap over at
-    most `largest` entries."""
+    """`f` of chunks of at most `largest` entries, of the first `count`, put together
+    again (zeros for the others)."""
     size, n = _sizes(arrays, largest)
-    of_chunk = lambda start: jax.vmap(f)(_chunk(arrays, start, size))
+    of_chunk = lambda start: f(_chunk(arrays, start, size))
     shapes = jax.eval_shape(of_chunk, 0)
     zeros = jax.tree.map(lambda a: jnp.zeros((n, *a.shape[1:]), a.dtype), shapes)
 

@@ -1,16 +1,16 @@
 """Parts of the inverse of a sparse matrix, as covariances of values that are sums of few
 unknowns: at points whose functions are those of a few centres."""
 
-import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .chunks import map_chunks
+from .sparse import SparseSymmetric
 
 CHUNK_BYTES = 32_000_000  # of blocks or right-hand sides at a time
 
@@ -23,7 +23,7 @@ class Elements(NamedTuple):
     columns: Int[Array, "e L*f"]
     """Which unknowns these are, negative where there is none."""
     present: Int[Array, ""]
-    """How many of the elements that hold points."""
+    """How many of the elements hold points; they come first."""
     places: Int[Array, "e pairs"]
     """Where the pairs of centres i <= j are among the blocks of the matrix."""
 
@@ -49,25 +49,23 @@ def from_blocks(
     points = elements.values.shape[1]
     size = 8 * len(i) * b * (b + points * b // f)
     arrays = elements.values, elements.places
-    return map_chunks(of_element, arrays, CHUNK_BYTES / size, elements.present)
+    every = jax.vmap(of_element)
+    return map_chunks(every, arrays, CHUNK_BYTES / size, elements.present)
 
 
 def from_solves(
-    solve: Callable[[Array], Array], shape: tuple[int, int], elements: Elements
+    solver: lx.AbstractLinearSolver, operator: SparseSymmetric, elements: Elements
 ) -> Float[Array, "e p t t"]:
-    """By right-hand sides `(*shape, n)`, some elements' at a time. `shape`: of unknowns,
-    functions and coordinates."""
-    size, t = shape
-    e, p, L, f = elements.values.shape
-    sides = p * t
-    chunk = max(1, int(CHUNK_BYTES / (8 * math.prod(shape) * sides)))
-    chunk = -(-e // -(-e // chunk))
+    """By right-hand sides `(size, t, n)`, some elements' at a time."""
+    size, t = operator.in_structure().shape
+    p, L, f = elements.values.shape[1:]
+    state = solver.init(operator, {})
+    solve = lambda sides: solver.compute(state, sides, {})[0]
 
-    def next_chunk(i, covariances):
-        start = jnp.minimum(i * chunk, e - chunk)
-        cut = lambda a: jax.lax.dynamic_slice_in_dim(a, start, chunk)
-        values, columns = cut(elements.values), cut(elements.columns)
-        values = values.reshape(chunk, p, L * f)
+    def of_chunk(arrays):
+        values, columns = arrays
+        values = values.reshape(-1, p, L * f)
+        chunk = len(values)
         element, point = np.arange(chunk)[:, None, None], np.arange(p)[:, None]
         owner = element * p + point
         places = jnp.broadcast_to(columns[:, None], values.shape)
@@ -78,8 +76,7 @@ def from_solves(
         )
         found = solve(right.reshape(size, t, -1)).reshape(right.shape)
         found = found[places, :, owner]
-        part = jnp.einsum("epu,epuab->epab", values, found)
-        return jax.lax.dynamic_update_slice_in_dim(covariances, part, start, 0)
+        return jnp.einsum("epu,epuab->epab", values, found)
 
-    count = -(-elements.present // chunk)
-    return jax.lax.fori_loop(0, count, next_chunk, jnp.zeros((e, p, t, t)))
+    arrays, largest = elements[:2], CHUNK_BYTES / (8 * size * t * p * t)
+    return map_chunks(of_chunk, arrays, largest, elements.present)

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from .._programs.sizes import at_each, bucket
 from .._source import Atlas
-from .quadrature import Sample, geometry_of
+from .quadrature import Sample, geometry_of, to_second_order
 
 Spacing = Callable[[Float[np.ndarray, "n s"]], Float[np.ndarray, " n"]]
 FINER = 4  # cells a spacing that it is integrated over
@@ -32,7 +32,7 @@ def graded_cells(atlas: Atlas, spacing: Spacing, most: float = np.inf) -> Cells 
     cells = Cells(np.arange(len(atlas.lower)), atlas.lower, atlas.upper)
     done, count = [], 0
     while len(cells.chart):
-        points, jacobian = _embedded(atlas, cells, MIDPOINT)
+        points, jacobian, _ = _embedded(atlas, cells, MIDPOINT)
         edges = np.linalg.norm(jacobian, axis=1) * (cells.upper - cells.lower)
         large = np.max(edges, axis=1) > np.sqrt(2) * spacing(points)
         done.append(jax.tree.map(lambda a, keep=~large: a[keep], cells))
@@ -77,7 +77,7 @@ def _halved(cells: Cells, axis: Int[np.ndarray, " n"]) -> Cells:
 
 def on_cells(atlas: Atlas, cells: Cells, rule=MIDPOINT) -> Sample:
     """The product of a rule `(nodes, weights)` on [-1, 1], mean 1, in every cell."""
-    points, jacobian, hessian = _embedded(atlas, cells, rule, order=2)
+    points, jacobian, hessian = _embedded(atlas, cells, rule)
     frames, forms, volume = geometry_of(jacobian, hessian)
     m = cells.lower.shape[1]
     weights = np.prod(np.stack(np.meshgrid(*[rule[1]] * m, indexing="ij")), axis=0)
@@ -85,25 +85,11 @@ def on_cells(atlas: Atlas, cells: Cells, rule=MIDPOINT) -> Sample:
     return points, frames, forms, volume * (boxes * weights.ravel()).ravel()
 
 
-def _embedded(
-    atlas: Atlas, cells: Cells, rule, order: int = 1
-) -> tuple[np.ndarray, ...]:
-    """Points, and derivatives of the chart up to `order`."""
+def _embedded(atlas: Atlas, cells: Cells, rule) -> tuple[np.ndarray, ...]:
+    """Points, and first and second derivatives of the chart."""
     m = cells.lower.shape[1]
     nodes = np.stack(np.meshgrid(*[rule[0]] * m, indexing="ij"), -1).reshape(-1, m)
     half = 0.5 * (cells.upper - cells.lower)[:, None]
     u = 0.5 * (cells.lower + cells.upper)[:, None] + half * nodes
     labels = np.repeat(atlas.labels[cells.chart], len(nodes), axis=0)
-    return at_each(_to_order[order], atlas.embed, u.reshape(-1, m), labels)
-
-
-def _first(embed, u, label):
-    return embed(u, label), jax.jacfwd(embed)(u, label)
-
-
-def _second(embed, u, label):
-    jacobian = jax.jacfwd(embed)
-    return *_first(embed, u, label), jax.jacfwd(jacobian)(u, label)
-
-
-_to_order = {1: _first, 2: _second}
+    return at_each(to_second_order, atlas.embed, u.reshape(-1, m), labels)

@@ -49,7 +49,7 @@ def axis_counts(chart: Chart, n: int) -> list[int]:
     for axis in range(len(middle)):
         line = np.tile(middle, (len(steps), 1))
         line[:, axis] = chart.lower[axis] + steps[:, axis]
-        points = at_each(_embedded, chart.embed, line)
+        points, *_ = at_each(to_second_order, chart.embed, line)
         lengths.append(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     return _counts(chart, lengths, n)
 
@@ -75,8 +75,9 @@ def grid(chart: Chart, axes) -> Sample:
     u = coordinates.reshape(len(weights), -1)
     if chart.embed is itself:
         return *_flat(u), weights
-    frames, forms, volume = geometry_of(*at_each(_derivatives, chart.embed, u))
-    return at_each(_embedded, chart.embed, u), frames, forms, volume * weights
+    points, *derivatives = at_each(to_second_order, chart.embed, u)
+    frames, forms, volume = geometry_of(*derivatives)
+    return points, frames, forms, volume * weights
 
 
 def _flat(u: Float[np.ndarray, "Q m"]):
@@ -84,13 +85,10 @@ def _flat(u: Float[np.ndarray, "Q m"]):
     return u, np.tile(np.eye(m), (Q, 1, 1)), np.zeros((Q, m, m, m))
 
 
-def _embedded(embed, u):
-    return embed(u)
-
-
-def _derivatives(embed, u):
+def to_second_order(embed, *u):
+    """The point, and the derivatives in the first of `u`, the coordinates."""
     jacobian = jax.jacfwd(embed)
-    return jacobian(u), jax.jacfwd(jacobian)(u)
+    return embed(*u), jacobian(*u), jax.jacfwd(jacobian)(*u)
 
 
 def geometry_of(

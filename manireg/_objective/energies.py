@@ -41,8 +41,7 @@ class AbstractEnergy(AbstractTerm):
     ) -> tuple[Float[Array, " J"], Float[ArrayLike, "#J #t"]]:
         """That of maps into a Euclidean space, the sum of c |row - b|^2 over the rows of
         a jet: all c and b."""
-        squares = jnp.array([1.0 if a == b else 2.0 for a, b in _pairs(m)])
-        return jnp.concatenate([jnp.zeros(1 + m), squares]), np.zeros((1, 1))
+        return jnp.concatenate([jnp.zeros(1 + m), _counts(m)]), np.zeros((1, 1))
 
     def square(self, near: AbstractManifold, jet: Jet, args):
         """The sum of the squared lengths of the tangent vectors that `residual` holds, in
@@ -171,6 +170,10 @@ def _to_tangent(target: AbstractManifold, psi, vectors) -> Float[Array, "r t"]:
 
 
 def _multiplicities(m: int) -> Float[Array, "pairs 1"]:
-    """Square roots: off-diagonal second derivatives count twice in |H|^2."""
-    pairs = _pairs(m)
-    return jnp.array([[1.0 if a == b else np.sqrt(2.0)] for a, b in pairs])
+    """What residuals are multiplied with: roots of `_counts`."""
+    return jnp.asarray(np.sqrt(_counts(m)))[:, None]
+
+
+def _counts(m: int) -> Float[np.ndarray, " pairs"]:
+    """How often second derivatives count in |H|^2: twice off the diagonal."""
+    return np.array([1.0 if a == b else 2.0 for a, b in _pairs(m)])

@@ -152,7 +152,8 @@ def _each_element(f: Callable, site: Site, jets: Float[Array, "e p J t"]):
     cache (measured: all at once takes three to four times as long)."""
     arrays = site.near, jets, site.arguments
     most = CHUNK_POINTS / jets.shape[1]
-    return map_chunks(lambda a: f(*a), arrays, most, site.jets.count)
+    every = jax.vmap(lambda a: f(*a))
+    return map_chunks(every, arrays, most, site.jets.count)
 
 
 def _derivatives(f, jets: Float[Array, "p J t"], rows) -> Float[Array, "jt p ..."]:

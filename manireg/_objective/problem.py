@@ -127,7 +127,7 @@ def make_problem(
       the centres. Then centres and quadrature follow the data: their spacing
       is that of the data nearby (a ball around a datum that holds eight others has eight
       times the volume h^m), growing by 0.3 to 0.45 per distance away from them; by
-      default as many as that takes, up to 400 (200 in dimension 3), and with fewer all
+      default as many as that takes, up to 384 (192 in dimension 3), and with fewer all
       are farther apart by the same factor. Lambda means the same. Not on point clouds
       (see `graded`) and on products with a factor other than flat spaces, spheres, tori
       and cylinders: there a `ResolutionWarning` in `solve` tells where more are needed.
@@ -279,7 +279,8 @@ def assemble_problem(
 
 
 def _arrays(arguments: PyTree) -> PyTree:
-    return jax.device_put(arguments)
+    """Copies: JAX may share the memory of NumPy arrays, which may change."""
+    return jax.device_put(jax.tree.map(np.array, arguments))
 
 
 def pattern_of(basis: LocalPolynomials, energy_jets: Jets, data_jets: Jets):

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
@@ -45,14 +44,14 @@ def at_each(
     size = FEWEST_ROWS
     while size < min(n, most):
         size *= 4
-    parts = []
+    parts, host = [], [np.asarray(a) for a in arrays]
     with jax.ensure_compile_time_eval():  # under `jit`, too: all this is known
         for start in range(0, max(n, 1), size):
-            rows = [filled(np.asarray(a)[start : start + size], size) for a in arrays]
+            rows = [filled(a[start : start + size], size) for a in host]
             parts.append(jax.tree.map(np.asarray, _rows(function, owner, *rows)))
     return jax.tree.map(lambda *a: np.concatenate(a)[:n], *parts)
 
 
 @program(most=64)
 def _rows(function, owner, *arrays):
-    return jax.vmap(lambda *rows: function(owner, *rows))(*map(jnp.asarray, arrays))
+    return jax.vmap(lambda *rows: function(owner, *rows))(*arrays)

@@ -26,23 +26,28 @@ def lambda_grid(problem: Problem, n: int | None = None) -> Float[Array, " n"]:
     the scale of the target. Below the spacing the data say nothing.
     """
     check_x64(problem)
-    here, m = on_host(problem), problem.dim
-    size = np.sum(here.energy_weights) ** (1 / m)
-    low = np.log(lambda_of_wavelength(here, mean_spacing(here)))
-    high = np.log(lambda_of_wavelength(here, 2 * size))
+    low, high = _logarithms_of_ends(on_host(problem))
     if n is None:
-        even = 4 * (np.log(2) + np.log(len(problem.y)) / m)
-        n = 1 + round((GRID - 1) * max(1.0, float(high - low) / even))
+        even = 4 * (np.log(2) + np.log(len(problem.y)) / problem.dim)
+        n = 1 + round((GRID - 1) * max(1.0, (high - low) / even))
     return jax.device_put(np.exp(np.linspace(low, high, n)))
 
 
 def coarse_grid(problem: Problem) -> Float[Array, " lams"]:
     """The same range in steps of at most a factor of 8, but from wavelengths of half a
     spacing of the centres: below, lambda hardly changes what the basis can follow."""
-    low, high = np.log(np.asarray(lambda_grid(problem, 2)))
     here = on_host(problem)
+    low, high = _logarithms_of_ends(here)
     centres = (here.data_volume / len(here.basis.centres)) ** (1 / problem.dim)
     finest = np.log(lambda_of_wavelength(here, UNRESOLVED * centres))
     low = min(max(low, finest), high)
     n = 1 + int(np.ceil((high - low) / np.log(COARSE_STEP)))
     return jax.device_put(np.exp(np.linspace(low, high, n)))
+
+
+def _logarithms_of_ends(here: Problem) -> tuple[float, float]:
+    """Of a grid, from the wavelength of the data's spacing to that of twice the source."""
+    size = np.sum(here.energy_weights) ** (1 / here.dim)
+    low = float(np.log(lambda_of_wavelength(here, mean_spacing(here))))
+    high = float(np.log(lambda_of_wavelength(here, 2 * size)))
+    return low, high

@@ -122,7 +122,7 @@ class AbstractSolvers(eqx.Module):
         w: Float[Array, "KC t"],
         stage: Stage,
         gradient: Float[Array, "KC t"],
-        model: SparseSymmetric | None,
+        model: SparseSymmetric,
     ) -> Direction:
         """Newton's, by the exact Hessian or a new model; `model`: the last one."""
 
@@ -140,8 +140,7 @@ class Shifting(AbstractSolvers):
     def direction(self, exact, w, stage, gradient, model):
         pattern = stage.problem.pattern
         hessian = assembled(pattern, point_hessians(w, stage, exact))
-        before = hessian if model is None else model
-        blocks = jnp.where(exact, before.blocks, hessian.blocks)
+        blocks = jnp.where(exact, model.blocks, hessian.blocks)
         solver, model = LeastShift(self.positive), SparseSymmetric(blocks, pattern)
         x, result, _ = solver.compute((hessian, model), gradient, {})
         return Direction(-x, result == lx.RESULTS.successful, model)
@@ -168,7 +167,7 @@ class Preconditioned(AbstractSolvers):
         def by_exact():
             return solved(self.at_minimum, exact_hessian(w, stage, model), model)
 
-        return by_model() if model is None else jax.lax.cond(exact, by_exact, by_model)
+        return jax.lax.cond(exact, by_exact, by_model)
 
 
 def direct_solvers(kind: str = "auto", dim: int = 2) -> AbstractSolvers:

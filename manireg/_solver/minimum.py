@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, ScalarLike
 from .._algebra.sparse import SparseSymmetric
 from .._objective.objective import Energies, objective
 from .._objective.sites import Stage
-from .newton import Newton
+from .newton import COUNTS, Newton
 
 
 class Minimum(NamedTuple):
@@ -58,8 +58,7 @@ def unsolved(stage: Stage, w: Float[Array, "KC t"]) -> Minimum:
     _, energies = eqx.filter_eval_shape(objective, w, stage)
     energies = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), energies)
     count, number = jnp.array(0), jnp.zeros((), w.dtype)
-    names = "num_newton_steps", "num_trials", "num_steps", "num_rounds"
-    stats = {**dict.fromkeys(names, count), "decrease": number}
+    stats = {**dict.fromkeys(COUNTS, count), "decrease": number}
     result = optx.RESULTS.nonlinear_max_steps_reached
     return Minimum(w, number, number, energies, result, stats, _no_model(stage, w))
 

@@ -22,7 +22,7 @@ from .._objective.objective import Energies
 from .._objective.problem import Problem
 from .._programs.sizes import at_each
 from .._source import AbstractSource
-from .._sources.checks import check_inputs, is_concrete
+from .._sources.checks import check_inputs, is_concrete, projected
 from ..manifolds import AbstractManifold
 
 
@@ -64,7 +64,7 @@ class RegressionMap(eqx.Module):
             return jax.device_put(points[0] if single else points)
         values, covered = evaluate(self.basis, self.coefficients, flat, self.origin)
         values = eqx.error_if(values, ~covered, UNCOVERED)
-        points = self.target.project(values.reshape(-1, *self.target.point_shape))
+        points = projected(self.target, values.reshape(-1, *self.target.point_shape))
         return points[0] if single else points
 
 
@@ -87,7 +87,13 @@ def evaluate(
         near = centres_near(basis, np.asarray(x))
         values, covered = at_each(_psi, owner, x, near)
         return jax.device_put((values, np.all(covered)))
-    everywhere = jnp.arange(len(basis.centres))
+    return _evaluate_traced(owner, x)
+
+
+@eqx.filter_jit
+def _evaluate_traced(owner, x):
+    """A loop outside of `jit` would be compiled at every call."""
+    everywhere = jnp.arange(len(owner[0].centres))
     one = lambda x: _psi(owner, x, everywhere)
     values, covered = jax.lax.map(one, x, batch_size=256)
     return values, jnp.all(covered)

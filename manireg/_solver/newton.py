@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Int, PyTree, Scalar, ScalarLike
 
 from .watchdog import Watchdog
 
+COUNTS = "num_newton_steps", "num_trials", "num_steps", "num_rounds"  # among `stats`
 KICK = 1e-3  # of the size of y, off a saddle
 
 
@@ -221,8 +222,7 @@ class Newton(optx.AbstractMinimiser):
             kinds, *_, convex = carry
             exact = kinds == 2
             found = self.direction(exact, y, args, grad, last.model)
-            products = jtu.tree_map(lambda a, b: jnp.sum(a * b), grad, found.step)
-            decrease = -0.5 * jtu.tree_reduce(jnp.add, products)
+            decrease = -0.5 * _dot(grad, found.step)
             return kinds - 1, found, decrease, jnp.where(exact, found.convex, convex)
 
         def unfinished(carry):
@@ -243,10 +243,7 @@ class Newton(optx.AbstractMinimiser):
         """Curvatures along the step just made, s: of the objective, 2 (f' - f - g^T s); of
         the quadratic of decrease d behind it, (g^T s)^2 / 2d."""
         last = state.accepted
-        products = jtu.tree_map(
-            lambda g, new, old: jnp.sum(g * (new - old)), last.grad, state.y_eval, y
-        )
-        slope = jtu.tree_reduce(jnp.add, products)
+        slope = _dot(last.grad, jtu.tree_map(jnp.subtract, state.y_eval, y))
         seen = 2 * (f_eval - last.f - slope)
         expected = slope**2 / (2 * jnp.where(slope == 0, 1.0, last.decrease))
         ratio = expected / jnp.maximum(seen, expected / self.longest)
@@ -272,8 +269,12 @@ class Newton(optx.AbstractMinimiser):
 
 def add_counts(stats: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
     """`stats` of a solve, with the steps of one before it."""
-    counts = ("num_newton_steps", "num_trials", "num_steps", "num_rounds")
-    return {**stats, **{name: stats[name] + before[name] for name in counts}}
+    return {**stats, **{name: stats[name] + before[name] for name in COUNTS}}
+
+
+def _dot(a, b):
+    products = jtu.tree_map(lambda a, b: jnp.sum(a * b), a, b)
+    return jtu.tree_reduce(jnp.add, products)
 
 
 def _kick(y):

@@ -23,7 +23,7 @@ from .._sources.checks import check_lam, is_concrete
 from .fitted import Limits, fitted
 from .linear import AbstractSolvers, direct_solvers
 from .minimise import Method, minimise, newton_minimiser, stage_of
-from .minimum import is_successful, unsolved
+from .minimum import Minimum, is_successful, unsolved
 from .model import RegressionMap, regression_map
 from .newton import add_counts
 from .starts import STRIDE, starts_of
@@ -148,27 +148,25 @@ def _check_options(problem: Problem, method, starts, warm, max_steps: int):
 def _one_by_one(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     """By programs that all fits share. The minimum is the lowest of all starts, each
     followed from its first lambda to `lam` in steps of at most a factor of `STRIDE`."""
-    lanes, goal = [], float(lam)
+    goal = float(lam)
+
+    def follow(w, now) -> Minimum:
+        last = bool(now >= goal)
+        limits = Limits(rtol if last else max(rtol, ON_THE_WAY), max_steps, last)
+        found, _ = fitted(problem, as_scalar(now), w, limits, solvers, method=method)
+        found = found._replace(stats=jax.tree.map(np.asarray, found.stats))
+        if last:
+            return found
+        onward = STRIDE * now if STRIDE * now < (1 - 1e-9) * goal else goal
+        further = follow(found.w, onward)
+        return further._replace(stats=add_counts(further.stats, found.stats))
+
+    lanes = []
     if starts:
         lanes += zip(*map(np.asarray, _starts(problem, lam, starts, method, solvers)))
     if warm is not None:
         lanes.append((warm, goal))
-    found = []
-    for w, now in lanes:
-        before = None
-        while True:
-            last = bool(now >= goal)
-            limits = Limits(rtol if last else max(rtol, ON_THE_WAY), max_steps, last)
-            minimum, _ = fitted(
-                problem, as_scalar(now), w, limits, solvers, method=method
-            )
-            stats = {name: np.asarray(value) for name, value in minimum.stats.items()}
-            before = stats if before is None else add_counts(stats, before)
-            w = minimum.w
-            if last:
-                break
-            now = STRIDE * now if STRIDE * now < (1 - 1e-9) * goal else goal
-        found.append(minimum._replace(stats=before))
+    found = [follow(*lane) for lane in lanes]
     objectives = [float(minimum.objective) for minimum in found]
     best = found[int(np.argmin(np.nan_to_num(objectives, nan=np.inf)))]
     return best.w, lam, best.energies, best.result, jax.device_put(best.stats)

@@ -121,7 +121,7 @@ class FlatTorus(AbstractManifold):
 
     def chart(self, around: np.ndarray | None) -> Chart:
         r"""$(\theta_1, .., \theta_n)$."""
-        radii = jnp.broadcast_to(jnp.asarray(self.radii, float), (self.dim,))
+        radii = np.broadcast_to(np.asarray(self.radii, float), (self.dim,))
         turn = np.full(self.dim, 2 * np.pi)
         return Chart(0 * turn, turn, (True,) * self.dim, Partial(_embed, radii))
 

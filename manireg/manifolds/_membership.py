@@ -1,5 +1,6 @@
 """Whether data lie on a manifold: each factor of a product by its own size."""
 
+import equinox as eqx
 import jax
 import numpy as np
 from jax.core import Tracer
@@ -18,12 +19,15 @@ def projected(space, points):
     """Closest points: one by one, so that programs do not depend on how many they are
     (nor are compiled again at every call, as loops are outside of `jit`)."""
     if not is_concrete(points, *jax.tree.leaves(space)):
-        return space.project(points)
+        return _project_traced(space, points)
     return jax.device_put(at_each(_project, space, points))
 
 
 def _project(space, p):
     return space.project(p)
+
+
+_project_traced = eqx.filter_jit(_project)
 
 
 def check_on(name: str, space, points):

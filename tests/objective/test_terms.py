@@ -102,6 +102,27 @@ def test_huber_is_the_weighted_spline():
     np.testing.assert_allclose(model(TIMES), again(TIMES), atol=1e-7)
 
 
+def test_arguments_are_copied():
+    """Those of a user may change afterwards."""
+    x, given = np.linspace(0, 1, 1000), np.zeros((1000, 1))
+
+    class Given(mr.AbstractTerm):
+        name = "given"
+        place = "data"
+        orders = (0,)
+
+        def arguments(self, x, y):
+            return given
+
+        def residual(self, near, jet, args):
+            return jet.value - args
+
+    line = mr.Euclidean(1)
+    problem = mr.make_problem(mr.Interval(0, 1), line, x, x[:, None], terms=(Given(),))
+    given[:] = 7.0
+    assert np.all(np.asarray(problem.terms[0][1]) == 0.0)
+
+
 @pytest.mark.parametrize("target", [LINE, SPHERE], ids=["line", "sphere"])
 def test_hessians(target):
     y = Y if target is LINE else sphere_data()

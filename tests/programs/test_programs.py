@@ -111,6 +111,19 @@ def test_data_of_similar_size_compile_nothing(compiled):
     assert compiled == []
 
 
+def test_transforms_of_a_model_compile_once(compiled):
+    """Outside of `jit`, too, where loops would be compiled at every call."""
+    model = mr.fit(mr.Interval(0, 1), mr.Sphere(2), *track(40), 1e-4, starts=(1.0,))
+    values, slopes = jax.vmap(model), jax.vmap(jax.jacfwd(model))
+    x = jnp.linspace(0, 1, 7)
+    jax.block_until_ready((values(x), slopes(x)))
+    compiled.clear()
+    np.testing.assert_allclose(values(x), model(x), atol=1e-12)
+    assert compiled.count("jit(_evaluate_traced)") == 0
+    slopes(x)
+    assert compiled == [name for name in compiled if name == "jit(run)"]
+
+
 def test_what_is_filled_up_counts_for_nothing():
     """The same fit, errors of data left out and folds as without."""
     x, y = track(40)

@@ -115,7 +115,7 @@ class SymmetricPositiveDefinite(AbstractManifold):
         """Flat: orthonormal coordinates of the linear span, cut to the data."""
         basis = tangent_frames(self, np.zeros((1, self.n**2)))[0]
         low, high = bounding_box(self, None if around is None else around @ basis)
-        span = Partial(jnp.matmul, jnp.asarray(basis))
+        span = Partial(jnp.matmul, basis)
         return Chart(low, high, (False,) * self.dim, span)
 
     def doubt(self, points: np.ndarray) -> str | None:
