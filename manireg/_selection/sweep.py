@@ -50,7 +50,7 @@ def sweep(
             f"lanes: arrays with one common leading axis expected, found {lengths}."
         )
     devices = tuple(jax.devices() if devices is None else devices)
-    return _sweep(fit, jax.device_put(lanes), shared, devices)
+    return _sweep(fit, lanes, shared, devices)
 
 
 @program(most=8)

@@ -87,4 +87,4 @@ def test_the_second_command_compiles_nothing_new(tmp_path):
         environment = os.environ | {"JAX_ENABLE_COMPILATION_CACHE": "true"}
         subprocess.run(command, cwd=tmp_path, env=environment, check=True)
         files.append(sorted(file.name for file in folder.rglob("*-cache")))
-    assert not files[0] and len(files[1]) > 50 and files[2] == files[1]
+    assert not files[0] and 5 < len(files[1]) < 30 and files[2] == files[1]
