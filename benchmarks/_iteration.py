@@ -17,7 +17,7 @@ from manireg._solver.linear import direct_solvers
 def _iterate(w, stage: Stage):
     value = eqx.filter_value_and_grad(objective, has_aux=True)
     (total, _), gradient = value(w, stage)
-    solver = direct_solvers("sparse", stage.problem.basis.dim).positive
+    solver = direct_solvers(stage.problem, "sparse").positive
     state = solver.init(gauss_newton(w, stage), {})
     return total, solver.compute(state, gradient, {})[0]
 

@@ -45,7 +45,7 @@ class Profile(NamedTuple):
 
 def profile(setup: Setup) -> Profile:
     problem, lam = setup.problem(), setup.lam
-    solvers = direct_solvers("sparse", problem.basis.dim)
+    solvers = direct_solvers(problem, "sparse")
     w = eqx.filter_jit(free_solution)(problem, lam, solvers)
     args = stage_of(problem, jnp.asarray(lam), gauge(problem), "projected", w)
 

@@ -75,7 +75,9 @@ class SparseCholesky(AbstractPositive):
         return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
     def covariances(self, operator, elements):
-        return from_solves(self, operator, elements)
+        state = self.init(operator, {})
+        solve = lambda sides: self.compute(state, sides, {})[0]
+        return from_solves(solve, operator.in_structure().shape, elements)
 
 
 class BandCholesky(AbstractPositive):
@@ -121,18 +123,22 @@ class DenseCholesky(AbstractPositive):
         return _dense(operator)
 
     def compute(self, state, vector, options):
-        matrix, scale = state
-        rhs = _flat(scale, vector)
-
-        def solve(ridge):
-            factor = jnp.linalg.cholesky(matrix + ridge * jnp.eye(len(matrix)))
-            return jax.scipy.linalg.cho_solve((factor, True), rhs)
-
-        solution = _unflat(scale, vector, first_finite(solve, RIDGES, rhs)[0])
-        return solution, lx.RESULTS.successful, {}
+        return self._solver(state)(vector), lx.RESULTS.successful, {}
 
     def covariances(self, operator, elements):
-        return from_solves(self, operator, elements)
+        solve = self._solver(self.init(operator, {}))
+        return from_solves(solve, operator.in_structure().shape, elements)
+
+    def _solver(self, state):
+        matrix, scale = state
+
+        def factor(ridge):
+            ridged = matrix + ridge * jnp.eye(len(matrix))
+            return jax.lax.linalg.cholesky(ridged, symmetrize_input=False)
+
+        lower = first_finite(factor, RIDGES, matrix)[0]
+        solve = lambda rhs: jax.scipy.linalg.cho_solve((lower, True), rhs)
+        return lambda vector: _unflat(scale, vector, solve(_flat(scale, vector)))
 
 
 def first_finite(

@@ -1,16 +1,15 @@
 """Parts of the inverse of a sparse matrix, as covariances of values that are sums of few
 unknowns: at points whose functions are those of a few centres."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .chunks import map_chunks
-from .sparse import SparseSymmetric
 
 CHUNK_BYTES = 32_000_000  # of blocks or right-hand sides at a time
 
@@ -54,13 +53,11 @@ def from_blocks(
 
 
 def from_solves(
-    solver: lx.AbstractLinearSolver, operator: SparseSymmetric, elements: Elements
+    solve: Callable[[Array], Array], shape: tuple[int, ...], elements: Elements
 ) -> Float[Array, "e p t t"]:
-    """By right-hand sides `(size, t, n)`, some elements' at a time."""
-    size, t = operator.in_structure().shape
+    """By right-hand sides `(*shape, n)`, some elements' at a time; `shape`: `(size, t)`."""
+    size, t = shape
     p, L, f = elements.values.shape[1:]
-    state = solver.init(operator, {})
-    solve = lambda sides: solver.compute(state, sides, {})[0]
 
     def of_chunk(arrays):
         values, columns = arrays

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 from scipy.spatial import KDTree
 
-from .._programs.sizes import at_each, data_bucket
+from .._programs.sizes import at_each, data_bucket, fewest_data
 from .local_polynomials import COVERED, LocalPolynomials, basis_values
 from .taylor import basis_series, second_derivative_pairs as second_derivative_pairs
 
@@ -96,8 +96,9 @@ def value_jets(
     program."""
     where = np.asarray(points)
     most = data_bucket(len(where))
-    # points in an element: spread evenly, they reach no farther than those of the energy
-    largest = max(1, most // (4 * len(energy_jets.columns)))
+    # points in an element: spread evenly, and as few as they may be in this bucket, they
+    # reach no farther than those of the energy
+    largest = max(1, fewest_data(most) // (3 * len(energy_jets.columns)))
     cells = _bisect(where, largest)
     overlap = energy_jets.columns.shape[1] // basis.size
     index, mask, near = _elements(basis, where, cells, overlap)

@@ -14,9 +14,9 @@ CLUSTERED = {1: 384, 2: 384, 3: 192}  # at most, where the data cluster
 
 
 def _default(k: int, m: int) -> int:
-    """Centres for k data, in few sizes: on curves not fewer; above, where each costs more,
-    about as many."""
-    return bucket(k) if m == 1 else bucket(round(0.8 * k))
+    """Centres for k data, in few sizes: on curves not fewer; above, where each has more
+    functions and costs more, about 0.4 k."""
+    return bucket(k) if m == 1 else bucket(round(0.4 * k))
 
 
 def sample(source: AbstractSource, x, centres: int | None, graded: bool, order: int):

@@ -27,11 +27,26 @@ def data_bucket(k: int) -> int:
     return next((size for size in FEW_DATA if k <= size), bucket(k))
 
 
+def fewest_data(size: int) -> int:
+    """That fill a data bucket of this size."""
+    if size > FEW_DATA[-1]:
+        return 1 + (size * 3 // 4 if size & (size - 1) == 0 else size * 2 // 3)
+    return 1 + max((n for n in FEW_DATA if n < size), default=0)
+
+
 def filled(array: Any, size: int) -> np.ndarray:
     """`size` rows, the last ones repeating the first."""
     array = np.asarray(array)
     more = np.broadcast_to(array[:1], (size - len(array), *array.shape[1:]))
     return np.concatenate([array, more])
+
+
+def power_of_four(n: int, least: int) -> int:
+    """Times `least`: the first that is not less than n."""
+    size = least
+    while size < n:
+        size *= 4
+    return size
 
 
 def at_each(
@@ -41,9 +56,7 @@ def at_each(
     few sizes of programs: up to `most` rows at a time, a power of four. `function` has to
     be the same object at every call, or it is compiled again."""
     n = len(arrays[0])
-    size = FEWEST_ROWS
-    while size < min(n, most):
-        size *= 4
+    size = power_of_four(min(n, most), least=FEWEST_ROWS)
     parts, host = [], [np.asarray(a) for a in arrays]
     with jax.ensure_compile_time_eval():  # under `jit`, too: all this is known
         for start in range(0, max(n, 1), size):

@@ -72,7 +72,7 @@ class AbstractScore(eqx.Module):
 
 
 def _solvers(score: "KFold | LeaveOneOut") -> AbstractSolvers:
-    return direct_solvers(score.linear_algebra, score.problem.basis.dim)
+    return direct_solvers(score.problem, score.linear_algebra)
 
 
 class KFold(AbstractScore):

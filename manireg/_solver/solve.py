@@ -77,7 +77,8 @@ def solve(
     - `max_steps`: trial steps allowed, at least 1. On a `PointCloud` those of all rounds,
       each on the patches of the one before; at most 12 rounds of 4. There a fit is
       `successful` if it met `rtol` and less than 1 % of the patches changed at the end.
-    - `linear_algebra`: `"sparse"` (CPU), `"dense"` (any device), `"auto"`.
+    - `linear_algebra`: `"sparse"` (CPU), `"dense"` (any device), `"auto"`: dense on a GPU
+      and off curves for up to 4,500 unknowns, most of which meet.
     - `throw`: raise if Newton fails; else look at `.result`.
 
     **Raises** ValueError for float32 mode and arguments that are not as above.
@@ -86,7 +87,7 @@ def solve(
     """
     lam = check_lam(lam)
     _check_options(problem, method, starts, warm, max_steps)
-    solvers = direct_solvers(linear_algebra, problem.basis.dim)
+    solvers = direct_solvers(problem, linear_algebra)
     options = method or "projected", solvers, rtol, max_steps
     known = is_concrete(*jax.tree.leaves((problem, lam, warm)))
     find = _one_by_one if known else _in_one_program

@@ -13,6 +13,7 @@ from jaxtyping import ArrayLike, Float, Int, ScalarLike
 
 from .._input.precision import check_x64
 from .._objective.problem import make_problem, with_tension
+from .._programs.sizes import power_of_four
 from .._selection.choice import CrossValidation
 from .._selection.leave_one_out import leave_one_out
 from .._selection.scores import RTOL, cut_errors
@@ -23,7 +24,7 @@ from ..manifolds import PointCloud
 from .given import Surface, given_surface, landmark_positions, normals_at
 from .orientation import check_orientation
 
-PAD = 8192  # targets are padded to multiples: similar ones share compiled programs
+FEWEST_POINTS = 8192  # targets are padded: similar ones share compiled programs
 
 
 class Registration(eqx.Module):
@@ -119,7 +120,7 @@ def register(
             raise ValueError(f"{name}: all on one line; spread them out.")
     if ours.faces is not None:
         check_orientation(x, y, normals_at(cloud, x), normals_at(onto, y))
-    padded = onto.padded(-(-len(onto.points) // PAD) * PAD)
+    padded = onto.padded(power_of_four(len(onto.points), least=FEWEST_POINTS))
     choices = _choices(geometry, centres, tension)
     several = sum(map(len, choices.values())) > 1
     found: list[tuple[RegressionMap, CrossValidation | None]] = []

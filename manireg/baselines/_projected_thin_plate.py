@@ -91,7 +91,7 @@ def projected_thin_plate(
         degree=degree,
         width=width,
     )
-    solvers = direct_solvers(linear_algebra)
+    solvers = direct_solvers(problem, linear_algebra)
     build = lambda lam, grid, scores: ProjectedThinPlate(
         source,
         target,

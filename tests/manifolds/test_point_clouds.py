@@ -231,7 +231,7 @@ def test_patches_near_a_map():
     x = sphere_points(160)[:40]
     problem = mr.make_problem(mr.Sphere(2), cloud, x, x, centres=40)
     problem = eqx.tree_at(lambda p: p.origin, problem, jnp.zeros(3))
-    w = 0.4 * free_solution(problem, 1e-3, direct_solvers())
+    w = 0.4 * free_solution(problem, 1e-3, direct_solvers(problem))
     local = patches_near(problem, w)
     assert local is not None
     psi = jet_values(problem.energy_jets, w)[:, :, 0]

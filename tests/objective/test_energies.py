@@ -264,7 +264,7 @@ def test_functions_on_flat_sources():
 @eqx.filter_jit
 def energy_through_the_basis(problem):
     """Of the map that follows dense exact data, as the objective sees it."""
-    w = free_solution(problem, 1e-15, direct_solvers("sparse"))
+    w = free_solution(problem, 1e-15, direct_solvers(problem, "sparse"))
     return objective(w, Stage(problem, 1.0, 0.0, problem.energy))[1].eells
 
 

@@ -62,7 +62,7 @@ def test_all_solvers_agree(closed):
     problem = closed_curve() if closed else curve_problem(mr.Sphere(2), sphere_data())
     assert problem.pattern.band is not None
     assert problem.pattern.band < problem.pattern.centres / 2
-    w = eqx.filter_jit(free_solution)(problem, 1e-6, direct_solvers("auto", 1))
+    w = eqx.filter_jit(free_solution)(problem, 1e-6, direct_solvers(problem))
     stage = stage_of(problem, 1e-6, gauge(problem), "projected", w)
     rhs = jax.random.normal(jax.random.key(0), w.shape)
 

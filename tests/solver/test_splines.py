@@ -141,7 +141,7 @@ def test_weight_two_is_a_datum_twice():
         jnp.repeat(y, twice, axis=0),
         jnp.ones(twice.sum()),
     )
-    w = eqx.filter_jit(free_solution)(weighted, 1e-3, direct_solvers())
+    w = eqx.filter_jit(free_solution)(weighted, 1e-3, direct_solvers(weighted))
     both = eqx.filter_jit(jax.value_and_grad(objective, has_aux=True))
     problems = (weighted, repeated, curve_problem(sphere, y))
     values = [both(w, Stage(p, 1e-3, 0.1, p.energy)) for p in problems]

@@ -94,7 +94,7 @@ def test_ambient_linear_functions_are_reproduced(name):
         source, mr.Euclidean(2), x.reshape(-1, *source.point_shape), x @ slope + 1.0,
         centres=40,
     )  # fmt: skip
-    w = eqx.filter_jit(free_solution)(problem, 1e-2, direct_solvers())
+    w = eqx.filter_jit(free_solution)(problem, 1e-2, direct_solvers(problem))
     values, covered = evaluate(problem.basis, w, new, problem.origin)
     assert covered
     np.testing.assert_allclose(values, new @ slope + 1.0, atol=1e-6)
