@@ -55,7 +55,8 @@ def from_blocks(
 def from_solves(
     solve: Callable[[Array], Array], shape: tuple[int, ...], elements: Elements
 ) -> Float[Array, "e p t t"]:
-    """By right-hand sides `(*shape, n)`, some elements' at a time; `shape`: `(size, t)`."""
+    """By right-hand sides `(*shape, n)`, some elements' at a time; `shape` is
+    `(size, t)`."""
     size, t = shape
     p, L, f = elements.values.shape[1:]
 

@@ -11,16 +11,19 @@ from .progress import Progress
 from .scores import AbstractScore, Fit
 
 HOPELESS = 2.0  # times the best mean score
+LOWER = 1e-2  # by which an objective has to be lower to be that of another minimum
 
 
 class Leg(NamedTuple):
-    """Lambdas to visit one after another; ends at one that has been visited before."""
+    """Lambdas to visit one after another; ends at one that has been visited before, or
+    with `again` at one where it finds no lower objective than that visit did."""
 
     lams: Sequence[float]
     after: float | None = None
     """The visited lambda from which it goes on; None: from the score's own start."""
     limit: float = np.inf
     """Ends where the mean score is so many times the lowest on the way."""
+    again: bool = False
 
 
 def up_and_down(
@@ -38,8 +41,10 @@ def up_and_down(
 def downwards(grid: Sequence[float]) -> Sequence[Leg]:
     """From the largest lambda to the least, whatever the scores on the way: a path that
     begins in a wrong minimum leaves it late (measured: one of 60 tracks of orientations,
-    near the end)."""
-    return [Leg(grid[::-1])]
+    near the end), or never (a sheet that is rolled up). So the least lambda is fitted once
+    more, from a start that follows the data, and the path goes back up as long as it
+    lies below the one that came down."""
+    return [Leg(grid[::-1]), Leg(grid, again=True)]
 
 
 def follow(
@@ -56,14 +61,18 @@ def follow(
         for leg in plan:
             place = None if leg.after is None else {**visited, **fits}[leg.after].place
             for lam in leg.lams:
-                if lam in fits:
+                before = fits.get(lam)
+                if before is not None and not leg.again:
                     break
                 # a Python number would be compiled into the program
                 traced = as_scalar(lam)
                 place = score.start(traced) if place is None else place
-                fits[lam] = score.fit(traced, place)
-                place = fits[lam].place
-                bar.step()
+                fit = score.fit(traced, place)
+                if before is None:
+                    bar.step()
+                elif not fit.objective < (1 - LOWER) * before.objective:
+                    break
+                fits[lam], place = fit, fit.place
                 mean = float(np.mean(score.trimmed(fits[lam].scores)))
                 lowest = min(lowest, mean)
                 if mean > leg.limit * lowest:

@@ -44,6 +44,8 @@ class Fit(NamedTuple):
     """Where the path goes on from."""
     scores: Float[np.ndarray, " folds"]
     converged: Bool[np.ndarray, " folds"]
+    objective: float
+    """Of the map of all data; not a number where there is none."""
     found: Any
     """What the score makes its model of."""
 
@@ -104,7 +106,7 @@ class KFold(AbstractScore):
         shared = lam, self.given, _solvers(self), np.asarray(self.max_steps)
         place, *rest = sweep(_advance, (self.lanes, place), shared)
         scores, converged, w = map(np.asarray, (*rest, place.w))
-        return Fit(place, scores, converged, w)
+        return Fit(place, scores, converged, np.nan, w)
 
     def trimmed(self, scores):
         return scores
@@ -200,7 +202,9 @@ class LeaveOneOut(AbstractScore):
         # a fit that ends in no numbers is no start for the next
         place = w if np.all(np.isfinite(np.asarray(w))) else place
         successful = is_successful(model.result)
-        return Fit(place, scores, np.full(scores.shape, successful), model)
+        return Fit(
+            place, scores, np.full(scores.shape, successful), _total(model), model
+        )
 
     def trimmed(self, scores):
         return cut_errors(scores)

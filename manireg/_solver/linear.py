@@ -184,7 +184,9 @@ def direct_solvers(problem: Problem, kind: str = "auto") -> AbstractSolvers:
         dense = (few and not on_curve) or jax.default_backend() != "cpu"
         kind = "dense" if dense else "sparse"
     if kind == "sparse":
-        return Shifting(BandCholesky()) if on_curve else Preconditioned(SparseCholesky())
+        return (
+            Shifting(BandCholesky()) if on_curve else Preconditioned(SparseCholesky())
+        )
     if kind == "dense":
         return Shifting(DenseCholesky())
     raise ValueError(

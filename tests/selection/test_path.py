@@ -15,6 +15,8 @@ class Distance(AbstractScore):
 
     best: float
     visits: list
+    lower: tuple[float, ...] = ()
+    """Where fits that do not come down from a larger lambda have a lower objective."""
 
     def start(self, lam):
         return 0.0
@@ -22,7 +24,9 @@ class Distance(AbstractScore):
     def fit(self, lam, place):
         self.visits.append((float(lam), place))
         off = abs(np.log2(float(lam) / self.best))
-        return Fit(float(lam), off + np.array([0.0, 2.2]), np.ones(2, bool), None)
+        below = place < float(lam) and float(lam) in self.lower
+        scores, objective = off + np.array([0.0, 2.2]), 0.5 if below else 1.0
+        return Fit(float(lam), scores, np.ones(2, bool), objective, below)
 
     def trimmed(self, scores):
         return scores
@@ -56,7 +60,16 @@ def test_down_as_far_as_there_is_hope():
 
 
 def test_downwards():
-    assert visits(downwards(GRID)) == [(16, 0), (8, 16), (4, 8), (2, 4), (1, 2)]
+    """And the least once more, afresh."""
+    down = [(16, 0), (8, 16), (4, 8), (2, 4), (1, 2)]
+    assert visits(downwards(GRID)) == [*down, (1, 0)]
+
+
+def test_back_up_while_it_is_lower():
+    score = Distance(4.0, [], lower=(1.0, 2.0, 8.0))
+    fits = follow(score, downwards(GRID), {}, progress=False)
+    assert score.visits[5:] == [(1, 0), (2, 1), (4, 2)]
+    assert [lam for lam in GRID if fits[lam].found] == [1.0, 2.0]
 
 
 def test_a_leg_goes_on_from_one_of_its_own_plan():
