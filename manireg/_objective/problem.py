@@ -119,12 +119,12 @@ def make_problem(
       half a spacing), factor by factor in products.
     - `weights`: `(k,)` of the squared errors, at least 0; default 1. Only ratios matter:
       the loss is a weighted mean. Data of weight 0 are not fitted and not scored.
-    - `centres`: about how many local polynomials; default about k on curves, 0.4 k above (in
-      sizes that share programs), within 32..96 on curves, 48..384 on surfaces, 64..144 in
-      dimension 3 (on products about as many). More resolve finer detail; the cost grows
+    - `centres`: about how many local polynomials; default about k on curves, 0.4 k above
+      (in sizes that share programs), within 32..96 on curves, 48..384 on surfaces, 64..144
+      in dimension 3 (on products about as many). More resolve finer detail; the cost grows
       with them. They are spread evenly, unless the data cluster: if at least a twentieth
       of them (and 4 to 9) lie five times as densely as on average over the source, and
-      more densely than the centres. Then centres and quadrature follow the data: their spacing
+      more densely than the centres. Then centres and quadrature follow the data: spacing
       is that of the data nearby (a ball around a datum that holds eight others has eight
       times the volume h^m), growing by 0.3 to 0.45 per distance away from them; by
       default as many as that takes, up to 384 (192 in dimension 3), and with fewer all
