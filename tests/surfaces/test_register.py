@@ -148,3 +148,36 @@ def test_open_surfaces_and_a_target_too_small():
     kept = source.vertices[:, 2] > 0.2
     gap = np.linalg.norm(found.vertices - source.vertices, axis=1)
     assert np.mean(gap[kept]) < 0.02 and np.max(gap) < 0.3
+
+
+def strip(uv, rolled: bool):
+    """A grid of a strip of length 6.7, flat or rolled up to a spiral by arc length."""
+    u, v = uv.reshape(-1, 2).T
+    angle = np.linspace(0, 9.5, 20001)
+    radius = 0.5 + angle / (6 * np.pi)  # turns are a third apart
+    along = np.cumsum(np.hypot(radius, 1 / (6 * np.pi))) * angle[1]
+    at = np.interp(u, along, angle)
+    circle = np.stack([np.cos(at), np.sin(at)], axis=1)
+    spiral = np.interp(at, angle, radius)[:, None] * circle
+    points = np.c_[spiral, v] if rolled else np.c_[u, v, 0 * u]
+    n, m = uv.shape[:2]
+    corner = (np.arange(n - 1)[:, None] * m + np.arange(m - 1)).ravel()
+    halves = [
+        [corner, corner + m, corner + 1],
+        [corner + 1, corner + m, corner + m + 1],
+    ]
+    faces = np.concatenate([np.transpose(half) for half in halves])
+    return trimesh.Trimesh(points, faces, process=False)
+
+
+@pytest.mark.slow
+def test_rolled_up():
+    """Lambda chosen: the path that comes down from stiff maps stays on a wrong turn."""
+    axes = np.linspace(0, 6.7, 136), np.linspace(0, 1.5, 31)
+    uv = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    source, target = strip(uv, rolled=False), strip(uv, rolled=True)
+    landmarks = np.random.default_rng(0).choice(len(source.vertices), 25, replace=False)
+    options = {"geometry": "intrinsic", "centres": 100, "progress": False}
+    found = mr.register(source, target, landmarks, landmarks, **options)
+    error = np.linalg.norm(found.vertices - target.vertices, axis=1)
+    assert np.quantile(error, 0.99) < 0.005
