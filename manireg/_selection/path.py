@@ -44,7 +44,8 @@ def downwards(grid: Sequence[float]) -> Sequence[Leg]:
     near the end), or never (a sheet that is rolled up). So the least lambda is fitted once
     more, from a start that follows the data, and the path goes back up as long as it
     lies below the one that came down."""
-    return [Leg(grid[::-1]), Leg(grid, again=True)]
+    down = Leg(grid[::-1])
+    return [down, Leg(grid, again=True)] if len(grid) > 1 else [down]
 
 
 def follow(

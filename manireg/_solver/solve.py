@@ -78,7 +78,7 @@ def solve(
       each on the patches of the one before; at most 12 rounds of 4. There a fit is
       `successful` if it met `rtol` and less than 1 % of the patches changed at the end.
     - `linear_algebra`: `"sparse"` (CPU), `"dense"` (any device), `"auto"`: dense on a GPU
-      and off curves for up to 4,500 unknowns, most of which meet.
+      and off curves for up to 4,500 unknowns that meet many others.
     - `throw`: raise if Newton fails; else look at `.result`.
 
     **Raises** ValueError for float32 mode and arguments that are not as above.
