@@ -175,8 +175,8 @@ class Preconditioned(AbstractSolvers):
 
 
 def direct_solvers(problem: Problem, kind: str = "auto") -> AbstractSolvers:
-    """`"sparse"`, `"dense"`, or `"auto"`: dense on a GPU, and off curves where unknowns are
-    few and meet many others."""
+    """`"sparse"`, `"dense"`, or `"auto"`: dense on a GPU, and off curves where unknowns
+    are few and meet many others."""
     on_curve, pattern = problem.basis.dim == 1, problem.pattern
     if kind == "auto":
         few = pattern.size * problem.y.shape[1] <= DENSE
