@@ -10,13 +10,8 @@ from .local_spacing import clustered_spacing
 from .spacing import local_spacings
 
 DEFAULT_CENTRES = {1: (32, 96), 2: (48, 384), 3: (64, 144)}  # least and most
+CENTRES_PER_DATUM = {1: 1.0, 2: 0.4, 3: 0.8}  # in between
 CLUSTERED = {1: 384, 2: 384, 3: 192}  # at most, where the data cluster
-
-
-def _default(k: int, m: int) -> int:
-    """Centres for k data, in few sizes: on curves not fewer; above, where each has more
-    functions and costs more, about 0.4 k."""
-    return bucket(k) if m == 1 else bucket(round(0.4 * k))
 
 
 def sample(source: AbstractSource, x, centres: int | None, graded: bool, order: int):
@@ -24,7 +19,9 @@ def sample(source: AbstractSource, x, centres: int | None, graded: bool, order: 
     of it, or where they cluster what they would fill at their median density."""
     m = source.sampled.dim
     low, high = DEFAULT_CENTRES.get(m, DEFAULT_CENTRES[3])
-    n = int(np.clip(_default(len(x), m), low, high)) if centres is None else centres
+    wanted = CENTRES_PER_DATUM.get(m, CENTRES_PER_DATUM[3]) * len(x)
+    default = int(np.clip(bucket(round(wanted)), low, high))
+    n = default if centres is None else centres
     domain = discretise(source, n, x, graded, order)
     volume = float(np.sum(np.asarray(domain.weights)))
     data = np.asarray(x)

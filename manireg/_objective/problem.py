@@ -119,9 +119,9 @@ def make_problem(
       half a spacing), factor by factor in products.
     - `weights`: `(k,)` of the squared errors, at least 0; default 1. Only ratios matter:
       the loss is a weighted mean. Data of weight 0 are not fitted and not scored.
-    - `centres`: about how many local polynomials; default about k on curves, 0.4 k above
-      (in sizes that share programs), within 32..96 on curves, 48..384 on surfaces, 64..144
-      in dimension 3 (on products about as many). More resolve finer detail; the cost grows
+    - `centres`: about how many local polynomials; default about k on curves, 0.4 k on
+      surfaces, 0.8 k in dimension 3 (in sizes that share programs), within 32..96, 48..384
+      and 64..144 (on products about as many). More resolve finer detail; the cost grows
       with them. They are spread evenly, unless the data cluster: if at least a twentieth
       of them (and 4 to 9) lie five times as densely as on average over the source, and
       more densely than the centres. Then centres and quadrature follow the data: spacing

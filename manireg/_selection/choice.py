@@ -72,7 +72,7 @@ def choose(
     def gathered(lams):
         one = next(iter(fits.values())).scores
         untried = Fit(
-            None, np.full_like(one, np.inf), np.zeros(one.shape, bool), np.inf, None
+            None, np.full_like(one, np.inf), np.zeros(one.shape, bool), np.nan, None
         )
         columns = [fits.get(lam, untried) for lam in lams]
         trimmed = [score.trimmed(fit.scores) for fit in columns]

@@ -74,7 +74,7 @@ def follow(
                 elif not fit.objective < (1 - LOWER) * before.objective:
                     break
                 fits[lam], place = fit, fit.place
-                mean = float(np.mean(score.trimmed(fits[lam].scores)))
+                mean = float(np.mean(score.trimmed(fit.scores)))
                 lowest = min(lowest, mean)
                 if mean > leg.limit * lowest:
                     break

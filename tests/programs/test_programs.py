@@ -12,7 +12,7 @@ from curves import INTERVAL
 
 import manireg as mr
 from manireg._programs.program import program
-from manireg._programs.sizes import at_each, bucket, data_bucket, filled
+from manireg._programs.sizes import at_each, bucket, data_bucket, fewest_data, filled
 
 
 @pytest.fixture
@@ -44,6 +44,10 @@ def test_sizes():
     ]  # fmt: skip
     assert all(n <= bucket(n) <= 1.5 * n for n in range(2, 5000))
     assert [data_bucket(k) for k in (1, 48, 49, 768, 769)] == [48, 48, 192, 768, 1024]
+    for size in {data_bucket(k) for k in range(1, 5000)}:
+        fewest = fewest_data(size)
+        assert data_bucket(fewest) == size
+        assert fewest == 1 or data_bucket(fewest - 1) < size
     np.testing.assert_array_equal(filled([[1, 2], [3, 4]], 4)[:, 0], [1, 3, 1, 1])
 
 
