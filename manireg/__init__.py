@@ -14,6 +14,7 @@ from ._discretisation.domain import Domain as Domain
 from ._geodesics.geodesic import Geodesic as Geodesic, geodesic as geodesic
 from ._objective.energy_of_map import (
     eells_energy as eells_energy,
+    energy as energy,
     thin_plate_energy as thin_plate_energy,
 )
 from ._objective.objective import Energies as Energies

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from .._programs.sizes import at_each, bucket
 from .._source import Atlas
-from .quadrature import Sample, geometry_of, to_second_order
+from .quadrature import Sample, to_second_order
 
 Spacing = Callable[[Float[np.ndarray, "n s"]], Float[np.ndarray, " n"]]
 FINER = 4  # cells a spacing that it is integrated over
@@ -32,7 +32,8 @@ def graded_cells(atlas: Atlas, spacing: Spacing, most: float = np.inf) -> Cells 
     cells = Cells(np.arange(len(atlas.lower)), atlas.lower, atlas.upper)
     done, count = [], 0
     while len(cells.chart):
-        points, jacobian, _ = _embedded(atlas, cells, MIDPOINT)
+        coordinates = _coordinates(atlas, cells, MIDPOINT)
+        points, jacobian, _ = at_each(to_second_order, atlas.embed, *coordinates)
         edges = np.linalg.norm(jacobian, axis=1) * (cells.upper - cells.lower)
         large = np.max(edges, axis=1) > np.sqrt(2) * spacing(points)
         done.append(jax.tree.map(lambda a, keep=~large: a[keep], cells))
@@ -53,7 +54,7 @@ def even_cells(atlas: Atlas, spacing: Spacing, most: float = np.inf) -> Cells | 
     if fine is None:
         return None
     order = np.argsort(fine.lower[:, 0])
-    points, *_, lengths = on_cells(atlas, fine)
+    points, _, _, lengths, _ = on_cells(atlas, fine)
     passed = np.append(0.0, np.cumsum((lengths / spacing(np.asarray(points)))[order]))
     n = bucket(max(3, round(passed[-1])))
     if n > most:
@@ -75,21 +76,22 @@ def _halved(cells: Cells, axis: Int[np.ndarray, " n"]) -> Cells:
     )
 
 
-def on_cells(atlas: Atlas, cells: Cells, rule=MIDPOINT) -> Sample:
+def on_cells(atlas: Atlas, cells: Cells, rule=MIDPOINT, order: int = 2) -> Sample:
     """The product of a rule `(nodes, weights)` on [-1, 1], mean 1, in every cell."""
-    points, jacobian, hessian = _embedded(atlas, cells, rule)
-    frames, forms, volume = geometry_of(jacobian, hessian)
+    coordinates = _coordinates(atlas, cells, rule)
+    points, frames, forms, volume, higher = in_charts(atlas.embed, order, *coordinates)
     m = cells.lower.shape[1]
     weights = np.prod(np.stack(np.meshgrid(*[rule[1]] * m, indexing="ij")), axis=0)
     boxes = np.prod(cells.upper - cells.lower, axis=1)[:, None]
-    return points, frames, forms, volume * (boxes * weights.ravel()).ravel()
+    weights = volume * (boxes * weights.ravel()).ravel()
+    return points, frames, forms, weights, higher
 
 
-def _embedded(atlas: Atlas, cells: Cells, rule) -> tuple[np.ndarray, ...]:
-    """Points, and first and second derivatives of the chart."""
+def _coordinates(atlas: Atlas, cells: Cells, rule) -> tuple[np.ndarray, np.ndarray]:
+    """Of the nodes of the rule, and the labels of their charts."""
     m = cells.lower.shape[1]
     nodes = np.stack(np.meshgrid(*[rule[0]] * m, indexing="ij"), -1).reshape(-1, m)
     half = 0.5 * (cells.upper - cells.lower)[:, None]
     u = 0.5 * (cells.lower + cells.upper)[:, None] + half * nodes
     labels = np.repeat(atlas.labels[cells.chart], len(nodes), axis=0)
-    return at_each(to_second_order, atlas.embed, u.reshape(-1, m), labels)
+    return u.reshape(-1, m), labels

@@ -15,6 +15,8 @@ from jaxtyping import Array, Float
 
 from .._programs.sizes import at_each
 from .._source import AbstractSource, Chart
+from .geodesics import geodesics_of_manifold
+from .partial_derivatives import partial_derivatives
 from .quadrature import Sample, axis_counts, gauss_panels, grid, of_known, quasi_uniform
 
 
@@ -29,10 +31,35 @@ class Domain(eqx.Module):
     """II(E_a, E_b), a normal vector, for each pair of frame vectors."""
     weights: Float[Array, " Q"]
     """Quadrature weights: sum_q weights_q f(points_q) approximates the integral dvol."""
+    higher: Float[Array, "Q R s"] | None = None
+    """Partial derivatives of exp_x(E u) at u = 0 beyond the second, in the order of
+    `partial_derivatives`; None: not known, or 0 as the second forms are."""
 
     @property
     def dim(self) -> int:
         return self.frames.shape[-1]
+
+    def geodesics(self, order: int) -> Float[np.ndarray, "Q J s"]:
+        """All of them up to that order: the points, the frames, the second forms, ...
+
+        **Raises** ValueError where they are not known."""
+        m = self.dim
+        points, frames, forms = map(
+            np.asarray, (self.points, self.frames, self.second_forms)
+        )
+        rows = [points, *np.moveaxis(frames, 2, 0)]
+        rows += [forms[:, a, b] for a in range(m) for b in range(a, m)]
+        known, count = np.stack(rows, axis=1), len(partial_derivatives(m, order))
+        if self.higher is not None:
+            known = np.concatenate([known, self.higher], axis=1)
+        elif not np.any(forms):
+            known = np.pad(known, ((0, 0), (0, max(0, count - len(rows))), (0, 0)))
+        if known.shape[1] < count:
+            raise ValueError(
+                f"domain: energies of order {order} need its geodesics to that order; "
+                "give `higher`, their partial derivatives beyond the second."
+            )
+        return known[:, :count]
 
 
 _ON_CLOUD = 12  # points of a cloud per centre
@@ -101,7 +128,8 @@ def discretise(
     - `around`: data points (flattened). Unbounded sources (Euclidean space, cylinder,
       SPD matrices) are cut to the box that holds them, which is then required.
     - `graded`: points denser near `around`, weights in proportion to spacing^{2 order - m}
-      (`order` that of the energy), with the same sum; point clouds only.
+      with the same sum; point clouds only.
+    - `order`: of the energy, to which geodesics are known (on point clouds to the second).
 
     Point clouds give points of theirs and share out the areas (a mesh with too few
     vertices points in its triangles); `Ambient` takes over what
@@ -129,17 +157,18 @@ def _quadrature(
     of curves and surfaces of their own, there would be 160 a centre on S^2 x R."""
     chart = source.chart(around)
     if chart is not None:
-        return sample_domain(grid(chart, _rules(chart, n, nodes)))
+        return sample_domain(grid(chart, _rules(chart, n, nodes), order))
     if source.product(around) is not None:
         build = functools.partial(_quadrature, nodes=nodes)
-        return _product_domain(source, n, around, build)
+        return _product_domain(source, n, around, build, order)
     if (known := source.known_points()) is not None:
         n = min(n, len(known[0])) * _ON_CLOUD
         known = source.known_points(n) or known
         sample = of_known(source, known, n, around, graded, order)
         return with_second_forms(source, *sample)
     n = n * nodes**source.dim
-    return with_second_forms(source, *quasi_uniform(source, n, with_weights=True))
+    sample = quasi_uniform(source, n, with_weights=True)
+    return with_second_forms(source, *sample, order)
 
 
 def _rules(chart: Chart, n: int, nodes: int):
@@ -168,7 +197,7 @@ def _checked_data(source: AbstractSource, around, graded: bool) -> np.ndarray | 
 
 
 def _product_domain(
-    source: AbstractSource, n: int, around, build: Callable[..., Domain]
+    source: AbstractSource, n: int, around, build: Callable[..., Domain], order: int = 2
 ) -> Domain:
     """Product rule: n is shared out so that all factors get about the same spacing."""
     domains = [
@@ -188,12 +217,14 @@ def _product_domain(
         row, column = row + s, column + m
     points = np.concatenate([d.points for d in picked], axis=1)
     weights = functools.reduce(np.multiply, (d.weights for d in picked))
-    return with_second_forms(source, points, frames, weights)
+    return with_second_forms(source, points, frames, weights, order)
 
 
 def seen_from(source: AbstractSource, domain: Domain) -> Domain:
     """The same points and weights, with the directions that the source differentiates
     along."""
+    if source.sampled is source:
+        return domain
     frames, forms = source.directions(domain.frames, domain.second_forms)
     return Domain(domain.points, frames, forms, domain.weights)
 
@@ -202,10 +233,13 @@ def sample_domain(sample: Sample) -> Domain:
     return Domain(*jax.device_put(sample))
 
 
-def with_second_forms(manifold, points, frames, weights) -> Domain:
-    """With the second fundamental forms of a manifold."""
+def with_second_forms(manifold, points, frames, weights, order: int = 2) -> Domain:
+    """With the second fundamental forms of a manifold, and its geodesics to that order."""
     forms = at_each(_second_forms, manifold, points, frames)
-    return Domain(*jax.device_put((points, frames, forms, weights)))
+    higher = None
+    if order > 2 and np.any(forms):
+        higher = geodesics_of_manifold(manifold, points, frames, order)
+    return sample_domain((points, frames, forms, weights, higher))
 
 
 def _second_forms(manifold, p, frame):

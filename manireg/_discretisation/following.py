@@ -37,20 +37,25 @@ class Followed(NamedTuple):
 
 
 def follow(
-    source: AbstractSource, spacing: LocalSpacing, n: int, around, finer: bool
+    source: AbstractSource,
+    spacing: LocalSpacing,
+    n: int,
+    around,
+    finer: bool,
+    order: int,
 ) -> Followed | None:
     """At most `n` centres (about, on sources without charts) whose spacing is that of the
     data around them, or more by the same factor everywhere; with `finer` also less, as far
     as `n` goes. None on point clouds, whose points are all there is, and for products with
-    a factor that has no charts."""
+    a factor that has no charts. `order`: of the energy."""
     manifold = source.sampled
     atlas = manifold.atlas(np.asarray(around))
     if atlas is not None:
-        followed = _in_charts(atlas, spacing, n, finer)
+        followed = _in_charts(atlas, spacing, n, finer, order)
     elif manifold.known_points() is not None or manifold.product(None) is not None:
         return None
     else:
-        followed = _scattered(manifold, spacing, n, finer)
+        followed = _scattered(manifold, spacing, n, finer, order)
     if followed is None:
         return None
     nodes, spacings, quadrature = followed
@@ -58,7 +63,7 @@ def follow(
 
 
 def _in_charts(
-    atlas: Atlas, spacing: LocalSpacing, n: int, finer: bool
+    atlas: Atlas, spacing: LocalSpacing, n: int, finer: bool, order: int
 ) -> Followed | None:
     """Cells, a centre in the middle of each, Gauss points in all."""
     m = atlas.lower.shape[1]
@@ -73,11 +78,13 @@ def _in_charts(
     h = spacing.at(scale)(np.asarray(nodes.points))
     h = np.asarray(nodes.weights) if m == 1 else NARROWER * h
     x, weights = gauss_panels(-1.0, 1.0, *panels_of(nodes_per_axis(m)))
-    quadrature = sample_domain(on_cells(atlas, cells, (x, weights / 2)))
+    quadrature = sample_domain(on_cells(atlas, cells, (x, weights / 2), order))
     return Followed(nodes, h, quadrature)
 
 
-def _scattered(source, spacing: LocalSpacing, n: int, finer: bool) -> Followed | None:
+def _scattered(
+    source, spacing: LocalSpacing, n: int, finer: bool, order: int
+) -> Followed | None:
     """Farthest points in units of the spacing, among random ones that are dense where it
     is small; weights are volumes of Voronoi cells."""
     m = source.dim
@@ -96,7 +103,7 @@ def _scattered(source, spacing: LocalSpacing, n: int, finer: bool) -> Followed |
     points = cloud[chosen]
     frames = tangent_frames(source, points)
     weights = voronoi_volumes(source, points, frames)
-    quadrature = with_second_forms(source, points, frames, weights)
+    quadrature = with_second_forms(source, points, frames, weights, order)
     # the first of farthest points are farthest points, too
     nodes = with_second_forms(source, points[:n], frames[:n], np.ones(n))
     return Followed(nodes, NARROWER * local_spacings(points[:n], m), quadrature)

@@ -1,9 +1,9 @@
 """Jets: value and derivatives of Psi as fixed linear functions of the coefficients.
 
-The jet of a map at x in M is (value, E_a-derivatives, intrinsic second derivatives), the
-Taylor coefficients of Psi(x + E u + II(u, u)/2) at u = 0. That curve agrees with the
-exponential map of M to second order, so the second derivatives are those of the paper's
-equation (6), in any codimension. Points are gathered in elements: those of one cell share
+The jet of a map at x in M holds the partial derivatives of Psi(exp_x(E u)) at u = 0, E a
+frame: the value, first derivatives along the frame, intrinsic second derivatives (those of
+the paper's equation (6), in any codimension: exp_x(E u) = x + E u + II(u, u)/2 + ...), and
+so on to the order of the energy. Points are gathered in elements: those of one cell share
 the union of their centres, so assembly is one dense product a cell.
 """
 
@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 
 from .._programs.sizes import at_each, data_bucket, fewest_data
 from .local_polynomials import COVERED, LocalPolynomials, basis_values
-from .taylor import basis_series, second_derivative_pairs as second_derivative_pairs
+from .taylor import basis_series
 
 ELEMENTS = 64  # whose values are taken at a time
 AT_A_TIME = 16  # whose jets are
@@ -28,8 +28,8 @@ class Jets(eqx.Module):
     """Linear maps from coefficients to jets, for Q points in e elements of p points."""
 
     matrices: Float[Array, "e p J U"]
-    """J = 1 + m + m(m+1)/2 rows a point (or 1: values only); U basis functions an
-    element, zero where an element has fewer."""
+    """J rows a point, those of `partial_derivatives` (or 1: values only); U basis
+    functions an element, zero where an element has fewer."""
     columns: Int[Array, "e U"]
     """Index of each basis function, negative for padding."""
     index: Int[Array, "e p"]
@@ -67,21 +67,18 @@ def bucket_centres(jets: Jets, functions: int) -> list[Int[np.ndarray, "_ _"]]:
 
 
 def jets_of(
-    basis: LocalPolynomials,
-    points: Float[ArrayLike, "Q s"],
-    frames: Float[ArrayLike, "Q s m"],
-    second_forms: Float[ArrayLike, "Q m m s"],
+    basis: LocalPolynomials, geodesics: Float[ArrayLike, "Q J s"], order: int
 ) -> Jets:
-    """Full jets of `basis` at `points`. Runs once, on the host."""
-    where = np.asarray(points)
+    """Jets of `basis` to that order at the points of a `Domain`, of which `geodesics` are
+    those of the exponential map. Runs once, on the host."""
+    geodesics = np.asarray(geodesics)
+    where = geodesics[:, 0]
     cells = _nearest(basis, where) if basis.dim == 1 else _bisect(where, IN_ELEMENT)
     index, mask, near = _elements(basis, where, cells)
-    geometry = tuple(np.asarray(a)[index] for a in (points, frames, second_forms))
     parts = []
     for start in range(0, len(near), AT_A_TIME):
         some = slice(start, start + AT_A_TIME)
-        arrays = (a[some] for a in (*geometry, near))
-        parts.append(basis_series(basis, *arrays))
+        parts.append(basis_series(basis, geodesics[index[some]], near[some], order))
     matrices = np.concatenate(parts)
     arrays = matrices, _columns(basis, near), index, mask, np.array(len(near))
     arrays = jax.device_put(arrays)

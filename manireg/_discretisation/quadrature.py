@@ -14,6 +14,7 @@ from .._programs.sizes import at_each
 from .._source import Chart, itself
 from ..manifolds._defaults.frames import tangent_frames
 from ..manifolds._membership import projected
+from .geodesics import geodesics_of_chart
 from .spacing import (
     data_spacings,
     equally_near,
@@ -26,12 +27,13 @@ Sample = tuple[
     Float[ArrayLike, "Q s m"],
     Float[ArrayLike, "Q m m s"],
     Float[ArrayLike, " Q"],
+    Float[ArrayLike, "Q R s"] | None,
 ]
-"""Points, frames, second fundamental forms, quadrature weights."""
+"""Of a `Domain`, on the host."""
 FlatSample = tuple[
     Float[ArrayLike, "Q s"], Float[ArrayLike, "Q s m"], Float[ArrayLike, " Q"]
 ]
-"""The same without the forms."""
+"""Points, frames, weights."""
 
 CANDIDATES = 12  # random points per point wanted, of which farthest ones are taken
 CELLS = 64  # measured at a time
@@ -68,16 +70,15 @@ def gauss_panels(a: float, b: float, panels: int, nodes: int):
     return (edges[:-1, None] + half * (1 + x)).ravel(), (half * w).ravel()
 
 
-def grid(chart: Chart, axes) -> Sample:
+def grid(chart: Chart, axes, order: int = 2) -> Sample:
     """The product of rules `(nodes, weights)` along the axes of a chart."""
     coordinates = np.stack(np.meshgrid(*(x for x, _ in axes), indexing="ij"), -1)
     weights = functools.reduce(np.multiply.outer, (w for _, w in axes)).ravel()
     u = coordinates.reshape(len(weights), -1)
     if chart.embed is itself:
-        return *_flat(u), weights
-    points, *derivatives = at_each(to_second_order, chart.embed, u)
-    frames, forms, volume = geometry_of(*derivatives)
-    return points, frames, forms, volume * weights
+        return *_flat(u), weights, None
+    points, frames, forms, volume, higher = in_charts(chart.embed, order, u)
+    return points, frames, forms, volume * weights, higher
 
 
 def _flat(u: Float[np.ndarray, "Q m"]):
@@ -91,13 +92,11 @@ def to_second_order(embed, *u):
     return embed(*u), jacobian(*u), jax.jacfwd(jacobian)(*u)
 
 
-def geometry_of(
-    jacobian: Float[np.ndarray, "Q s m"], hessian: Float[np.ndarray, "Q s m m"]
-) -> tuple[
-    Float[np.ndarray, "Q s m"], Float[np.ndarray, "Q m m s"], Float[np.ndarray, " Q"]
-]:
-    """Frames E = D A, with D the derivative of a chart, second forms, the normal part of
-    D^2[A_a, A_b], and volumes, |det A|^-1."""
+def in_charts(embed, order: int, *u: Float[np.ndarray, "Q _"]) -> Sample:
+    """At coordinates, the first of `u`: points, frames E = D A, with D the derivative of
+    a chart, second forms, the normal part of D^2[A_a, A_b], volumes, |det A|^-1, and
+    geodesics to that order."""
+    points, jacobian, hessian = at_each(to_second_order, embed, *u)
     frames, triangle = np.linalg.qr(jacobian)
     volume = np.abs(np.prod(np.diagonal(triangle, axis1=1, axis2=2), axis=1))
     if not np.all(volume > 1e-12 * np.max(volume)):
@@ -108,7 +107,11 @@ def geometry_of(
     inverse = np.linalg.inv(triangle)
     bend = np.einsum("qsij,qia,qjb->qabs", hessian, inverse, inverse)
     along = np.einsum("qabs,qsc->qabc", bend, frames)
-    return frames, bend - np.einsum("qabc,qsc->qabs", along, frames), volume
+    forms = bend - np.einsum("qabc,qsc->qabs", along, frames)
+    higher = None
+    if order > 2 and np.any(hessian):
+        higher = geodesics_of_chart(embed, order, inverse, *u)
+    return points, frames, forms, volume, higher
 
 
 def quasi_uniform(source, n: int, with_weights: bool) -> FlatSample:

@@ -1,6 +1,8 @@
 """Energies: what lambda multiplies, each with the discretisation it needs."""
 
-from typing import ClassVar
+import abc
+import math
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -8,13 +10,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from .._discretisation.partial_derivatives import multiplicities, partial_derivatives
 from .._discretisation.spacing import data_spacings
-from .._discretisation.taylor import second_derivative_pairs as _pairs
 from .._input.precision import as_scalar
 from ..manifolds import AbstractManifold
-from .terms import AbstractTerm, Jet, project_flat
+from .covariant_derivatives import covariant_derivatives, roots
+from .terms import AbstractTerm, Jet
 
 THIN = 1e-2  # of the data's largest extent: across it the affine map is taken as 0
+
+
+class Resolution(NamedTuple):
+    """Of the basis."""
+
+    degree: int
+    """Of the local polynomials."""
+    width: float
+    """Radius of their supports in spacings."""
+    share: float
+    """Of the centres that an energy of second order has."""
 
 
 class AbstractEnergy(AbstractTerm):
@@ -22,26 +36,32 @@ class AbstractEnergy(AbstractTerm):
     `order`, times lambda, whose unit is a length to the power of `2 order - m`."""
 
     place = "quadrature"
-    order: ClassVar[int]
-    gauge: ClassVar[float]
+    order: eqx.AbstractVar[int]
+    gauge: eqx.AbstractVar[float]
     """gamma vol(M) of solves in one stage."""
     on_target: ClassVar[bool]
     """Whether it is that of a map into N: then Newton starts on N."""
-    degrees: ClassVar[tuple[int, int, int]]
-    """Of the local polynomials, by default: on curves, surfaces, in dimension 3."""
-    widths: ClassVar[tuple[float, float, float]]
-    """Of their supports in spacings, by default, likewise."""
+
+    @property
+    def name(self) -> str:
+        return "eells" if self.order == 2 else f"order_{self.order}"
 
     def penalised(self) -> "AbstractEnergy":
         """The one to be minimised with gamma raised in stages (`method="penalty"`)."""
         return self
+
+    @abc.abstractmethod
+    def resolution(self, m: int) -> "Resolution":
+        """What the basis is by default."""
 
     def flat(
         self, m: int, args
     ) -> tuple[Float[Array, " J"], Float[ArrayLike, "#J #t"]]:
         """That of maps into a Euclidean space, the sum of c |row - b|^2 over the rows of
         a jet: all c and b."""
-        return jnp.concatenate([jnp.zeros(1 + m), _counts(m)]), np.zeros((1, 1))
+        lower = len(partial_derivatives(m, self.order - 1))
+        costs = np.append(np.zeros(lower), multiplicities(m, self.order))
+        return jnp.asarray(costs), np.zeros((1, 1))
 
     def square(self, near: AbstractManifold, jet: Jet, args):
         """The sum of the squared lengths of the tangent vectors that `residual` holds, in
@@ -54,61 +74,51 @@ class AbstractEnergy(AbstractTerm):
         return lam
 
 
-class Eells(AbstractEnergy):
-    r"""The Eells density of $\pi \circ \Psi$, a map into N:
-    $P(D^2\pi[\partial_a\Psi, \partial_b\Psi] + D\pi\, H_{ab})$ (mathematics, 2.6 (ii)).
+class IntrinsicEnergy(AbstractEnergy):
+    r"""$|\mathrm{Sym}\, \nabla^{p-1} d(\pi \circ \Psi)|^2$ of a map into N: of order 1 the
+    harmonic energy, 2 the Eells energy (mathematics, 2.6 (ii)), 3 and 4 smoother ones.
     Blind to displacements of Psi normal to N."""
 
-    name = "eells"
-    orders = (0, 1, 2)
-    order = 2
+    order: int = eqx.field(static=True, default=2)
     gauge = 0.1  # holds Psi near N, costs 1e-4 of E
     on_target = True
-    degrees = 2, 2, 1
-    widths = 2.5, 2.2, 1.5
 
-    def residual(self, near: AbstractManifold, jet: Jet, args):
-        value, first, second = jet
-        push = lambda psi, v: jax.jvp(lambda p: project_flat(near, p), (psi,), (v,))[1]
-        rows = []
-        for (a, b), h in zip(_pairs(len(first)), second):
-            rows.append(jax.jvp(push, (value, first[a]), (first[b], h))[1])
-        return _multiplicities(len(first)) * _to_tangent(near, value, rows)
+    @property
+    def orders(self) -> tuple[int, ...]:
+        return tuple(range(self.order + 1))
+
+    def resolution(self, m: int) -> "Resolution":
+        return _resolution(
+            m, self.order, *((2, 2.5), (2, 2.2), (1, 1.5))[min(m, 3) - 1]
+        )
 
     def penalised(self):
-        return PenalisedEells()
-
-
-class PenalisedEells(AbstractEnergy):
-    r"""$|P(\pi(\Psi)) H|^2$: the Eells density of the paper's (2), (5) for maps near N.
-    The projector is that of the closest point, in any codimension."""
-
-    name = "eells"
-    orders = (0, 2)
-    order = 2
-    gauge = 0.1
-    on_target = False
-    degrees = 2, 2, 1
-    widths = 2.5, 2.2, 1.5
+        return AmbientEnergy(self.order)
 
     def residual(self, near: AbstractManifold, jet: Jet, args):
-        return _bending(near, jet)
+        return covariant_derivatives(near, jet, self.order)
 
 
-class AmbientEells(AbstractEnergy):
-    """The same of a map of the whole neighbourhood of the source, which does not stay on N
-    off it: in all directions of space, not of the projection, in one stage."""
+class AmbientEnergy(AbstractEnergy):
+    r"""$|P(\pi(\Psi)) D^p \Psi|^2$, of Psi, not of its projection: of maps of the whole
+    neighbourhood of the source, which do not stay on N off it, in one stage; and, of
+    order 2, what the paper's (2), (5) minimise with gamma raised in stages
+    (`method="penalty"`). The projector is that of the closest point, in any
+    codimension."""
 
-    name = "eells"
-    orders = (0, 2)
-    order = 2
+    order: int = eqx.field(static=True, default=2)
     gauge = 10.0
     on_target = False
-    degrees = 1, 1, 1
-    widths = 1.5, 1.5, 1.5
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        return 0, self.order
+
+    def resolution(self, m: int) -> "Resolution":
+        return _resolution(m, self.order, 1, 1.5)
 
     def residual(self, near: AbstractManifold, jet: Jet, args):
-        return _bending(near, jet)
+        return _bending(near, jet, self.order)
 
 
 class Tension(AbstractEnergy):
@@ -120,13 +130,13 @@ class Tension(AbstractEnergy):
     """A, of the least-squares affine map of the data."""
     data: Float[Array, "k s"]
     """Whose spacing around each point is h."""
-    name = "eells"
     orders = (0, 1, 2)
     order = 2
     gauge = 10.0
     on_target = False
-    degrees = 1, 1, 1
-    widths = 1.5, 1.5, 1.5
+
+    def resolution(self, m: int) -> "Resolution":
+        return _resolution(m, self.order, 1, 1.5)
 
     def arguments(self, x, y):
         return 1 / data_spacings(np.asarray(x), np.asarray(self.data))
@@ -135,7 +145,7 @@ class Tension(AbstractEnergy):
         stretching = [row - a for row, a in zip(jet.first, self.derivative)]
         strength = jnp.sqrt(self.tau) * args
         stretching = strength * _to_tangent(near, jet.value, stretching)
-        return jnp.concatenate([_bending(near, jet), stretching])
+        return jnp.concatenate([_bending(near, jet, 2), stretching])
 
     def flat(self, m, args):
         bending, _ = super().flat(m, args)
@@ -156,9 +166,18 @@ def affine_derivative(
     return jax.device_put(np.linalg.lstsq(x, y, rcond=THIN)[0])
 
 
-def _bending(target: AbstractManifold, jet: Jet) -> Float[Array, "r t"]:
-    m = round((np.sqrt(8 * len(jet.second) + 1) - 1) / 2)
-    return _multiplicities(m) * _to_tangent(target, jet.value, jet.second)
+def _resolution(m: int, order: int, degree: int, width: float) -> Resolution:
+    """From the degree that serves an energy of second order: one that follows has that
+    order at least (with less, its error does not fall with the spacing), in so many fewer
+    centres that unknowns are as many."""
+    higher = degree if order <= 2 else max(degree, order)
+    functions = lambda degree: math.comb(m + degree, m)
+    return Resolution(higher, width, functions(degree) / functions(higher))
+
+
+def _bending(target: AbstractManifold, jet: Jet, order: int) -> Float[Array, "r t"]:
+    m = len(jet.first)
+    return roots(m, order) * _to_tangent(target, jet.value, jet[order])
 
 
 def _to_tangent(target: AbstractManifold, psi, vectors) -> Float[Array, "r t"]:
@@ -167,13 +186,3 @@ def _to_tangent(target: AbstractManifold, psi, vectors) -> Float[Array, "r t"]:
     if len(vectors) == 1:  # of a curve: under vmap an exact Hessian takes a third more
         return project(vectors[0])[None]
     return jax.vmap(project)(jnp.stack(vectors))
-
-
-def _multiplicities(m: int) -> Float[Array, "pairs 1"]:
-    """What residuals are multiplied with: roots of `_counts`."""
-    return jnp.asarray(np.sqrt(_counts(m)))[:, None]
-
-
-def _counts(m: int) -> Float[np.ndarray, " pairs"]:
-    """How often second derivatives count in |H|^2: twice off the diagonal."""
-    return np.array([1.0 if a == b else 2.0 for a, b in _pairs(m)])

@@ -21,12 +21,20 @@ class Energies(eqx.Module):
 
     loss: Float[Array, ""]
     """(Weighted) mean squared geodesic error on the data."""
-    eells: Float[Array, ""]
-    """S, the Eells energy (with the tension's, if there is one)."""
+    energy: Float[Array, ""]
+    """S, what lambda multiplies: the Eells energy, that of another order, or with the
+    tension's."""
     off_manifold: Float[Array, ""]
     """Largest distance of Psi to N, before the final projection."""
     terms: dict[str, Float[Array, ""]]
     """Every term by its name, before it is multiplied by lambda, gamma or its factor."""
+
+    @property
+    def eells(self) -> Float[Array, ""]:
+        """`energy`, of order 2."""
+        if "eells" not in self.terms:
+            raise AttributeError("energies: not of order 2; `energy` is what there is.")
+        return self.terms["eells"]
 
 
 def objective(

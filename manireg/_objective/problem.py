@@ -23,9 +23,15 @@ from .._discretisation.sampling import sample
 from .._input.numbers import Numbers
 from .._input.precision import as_scalar, check_x64
 from .._source import AbstractSource
-from .._sources.checks import check_data, check_dimension, check_tension
+from .._sources.checks import check_data, check_order, check_tension
 from ..manifolds import AbstractManifold
-from .energies import AbstractEnergy, AmbientEells, Eells, Tension, affine_derivative
+from .energies import (
+    AbstractEnergy,
+    AmbientEnergy,
+    IntrinsicEnergy,
+    Tension,
+    affine_derivative,
+)
 from .terms import AbstractTerm
 
 
@@ -40,10 +46,10 @@ class Problem(eqx.Module):
     target: AbstractManifold
     basis: LocalPolynomials
     energy_jets: Jets
-    """Value, first and intrinsic second derivatives at the quadrature points."""
+    """Value and intrinsic derivatives at the quadrature points."""
     free_jets: Jets | None
-    """The same with the ambient second derivative, for the free start: affine maps of the
-    ambient space then cost nothing. None on a flat source, where they are the same."""
+    """The same with ambient derivatives, for the free start: affine maps of the ambient
+    space then cost nothing. None on a flat source, where they are the same."""
     energy_weights: Float[Array, "e p"]
     data_jets: Jets
     """Values at the data."""
@@ -100,6 +106,7 @@ def make_problem(
     width: float | None = None,
     graded: bool = False,
     tension: float = 0.0,
+    order: int = 2,
     energy: AbstractEnergy | None = None,
     terms: Sequence[AbstractTerm] = (),
 ) -> Problem:
@@ -107,8 +114,8 @@ def make_problem(
 
     **Arguments:**
 
-    - `source`: `Interval`, `Box` or a manifold, of dimension 3 at most: above, second
-      derivatives do not control values. Unbounded manifolds are cut to the bounding box
+    - `source`: `Interval`, `Box` or a manifold, of dimension m < 2 `order`: derivatives of
+      lower order do not control values. Unbounded manifolds are cut to the bounding box
       of `x`.
     - `target`: a manifold.
     - `x`: inputs `(k, *source.point_shape)`, in any order: arrays, lists, series or frames
@@ -131,8 +138,9 @@ def make_problem(
       are farther apart by the same factor. Lambda means the same. Not on point clouds
       (see `graded`) and on products with a factor other than flat spaces, spheres, tori
       and cylinders: there a `ResolutionWarning` in `solve` tells where more are needed.
-    - `degree`: of the local polynomials, at least 1; default 2, in dimension 3 and on
-      `Ambient` sources 1 (linear in all directions).
+    - `degree`: of the local polynomials, at least `order` - 1; default 2, in dimension 3
+      and on `Ambient` sources 1 (linear in all directions); for orders 3 and 4 the
+      `order`, in fewer centres, so that unknowns are as many.
     - `width`: support radius of a local polynomial in units of the spacing
       $(\mathrm{vol}(M)/K)^{1/m}$, on point clouds and where the centres follow the data
       of their local spacing; default 2.5 on curves, 2.2 on surfaces, 1.5 in dimension 3
@@ -149,35 +157,43 @@ def make_problem(
       not overshoot between data as one without does. At 1, stretching and bending over
       one spacing cost the same. Default 0, the Eells energy alone. A and h stay those of
       these data if `y` or `weights` are replaced.
-    - `energy`: what smooths; default the Eells energy of the map into N, on `Ambient`
-      sources that of the map of the neighbourhood, with `tension` as above.
+    - `order`: p of the energy, the integral of the squared p-th covariant derivative
+      (symmetrised): 1 harmonic, 2 (default) the Eells energy, 3 and 4 smoother ones. In
+      flat spaces these are the polyharmonic splines: the cubic one for 2, the quintic one
+      for 3. Maps of no energy are more for a larger order on intervals and boxes
+      (polynomials of degree p - 1), on closed sources they are not. Lambda has the unit
+      of length^{2p - m}. 4 on curves only; on point clouds 1 and 2, which as targets
+      allow 3, too.
+    - `energy`: what smooths; default that of the map into N, on `Ambient` sources that of
+      the map of the neighbourhood, with `tension` as above.
     - `terms`: what else is to be minimised, see `AbstractTerm`.
 
     **Raises** ValueError for float32 mode, wrong shapes, NaN, masked or missing entries,
     points off the source or the target (reflections among rotations are named), too few
-    distinct inputs of positive weight, a source of dimension 4 or more, tension that is
-    negative or on a source that is not `Ambient`.
+    distinct inputs of positive weight (on flat sources C(p - 1 + m, m), else m + 2), an
+    `order` that the source or the target does not allow, tension that is negative, on a
+    source that is not `Ambient` or of another order than 2.
     """
     check_x64(source)
     check_x64(target)
-    check_dimension(source)
-    check_tension(tension, source)
-    x, y, weights = check_data(source, target, x, y, weights)
+    order = order if energy is None else energy.order
+    check_order(order, source, target)
+    check_tension(tension, source, order)
+    x, y, weights = check_data(source, target, x, y, weights, order)
     m = source.sampled.dim
     if energy is None:
-        energy = _default_energy(source, tension, x, y, weights)
+        energy = _default_energy(source, tension, order, x, y, weights)
     _check_terms(energy, terms)
-    if degree is None:
-        degree = energy.degrees[m - 1]
-    if degree < 1:
+    default = energy.resolution(m)
+    degree = default.degree if degree is None else degree
+    if degree < max(1, order - 1):
         raise ValueError(
-            f"degree: must be at least 1, found {degree}: affine maps have to cost "
-            "nothing."
+            f"degree: must be at least {max(1, order - 1)}, found {degree}: affine maps, "
+            "and polynomials of a lower degree than `order`, have to cost nothing."
         )
-    if width is None:
-        width = energy.widths[m - 1]
+    width = default.width if width is None else width
     nodes, spacing, domain, data_volume = sample(
-        source, x, centres, graded, energy.order
+        source, x, centres, graded, order, default.share
     )
     basis = local_polynomials(nodes, width * spacing, degree, domain)
     if m == 1:
@@ -190,9 +206,9 @@ def make_problem(
 
 def with_tension(problem: Problem, tension: float) -> Problem:
     """The same problem, made with tension, with another: all else is shared."""
-    check_tension(tension, problem.source)
+    check_tension(tension, problem.source, problem.energy.order)
     assert isinstance(problem.energy, Tension)
-    energy, arguments = AmbientEells(), ()
+    energy, arguments = AmbientEnergy(), ()
     if tension > 0:
         energy = eqx.tree_at(lambda e: e.tau, problem.energy, as_scalar(tension))
         arguments = problem.energy_arguments
@@ -201,12 +217,12 @@ def with_tension(problem: Problem, tension: float) -> Problem:
 
 
 def _default_energy(
-    source: AbstractSource, tension: float, x, y, weights
+    source: AbstractSource, tension: float, order: int, x, y, weights
 ) -> AbstractEnergy:
     if source.sampled is source:
-        return Eells()
+        return IntrinsicEnergy(order)
     if tension == 0:
-        return AmbientEells()
+        return AmbientEnergy(order)
     return Tension(tension, affine_derivative(x, y, weights), x)
 
 
@@ -216,7 +232,8 @@ def _check_terms(energy: AbstractEnergy, terms: Sequence[AbstractTerm]) -> None:
     if twice:
         raise ValueError(f"terms: two have the name {twice[0]!r}; give each its own.")
     for term in terms:
-        known = {"quadrature": (0, 1, 2), "data": (0,)}.get(term.place)
+        jets = tuple(range(1 + max(energy.order, 2)))
+        known = {"quadrature": jets, "data": (0,)}.get(term.place)
         if known is None:
             raise ValueError(
                 f"terms: {term.name} has the place {term.place!r}; expected 'quadrature' "
@@ -244,14 +261,16 @@ def assemble_problem(
     """The same from a basis and a quadrature of your own; inputs are not checked."""
     if data_volume is None:
         data_volume = np.sum(np.asarray(domain.weights))
-    energy_jets = jets_of(basis, domain.points, domain.frames, domain.second_forms)
+    energy = IntrinsicEnergy() if energy is None else energy
+    order = max(0, *energy.orders, *(o for term in terms for o in term.orders))
+    geodesics = domain.geodesics(order)
+    energy_jets = jets_of(basis, geodesics, order)
     free_jets = None
-    if np.any(np.asarray(domain.second_forms)):
-        flat = np.zeros(domain.second_forms.shape)
-        free_jets = jets_of(basis, domain.points, domain.frames, flat)
+    if np.any(straight := geodesics[:, 1 + domain.dim :]):
+        straight[:] = 0
+        free_jets = jets_of(basis, geodesics, order)
     data_jets = value_jets(basis, x, energy_jets)
     pattern, energy_places, data_places = pattern_of(basis, energy_jets, data_jets)
-    energy = Eells() if energy is None else energy
     at_points = np.asarray(domain.weights)[np.asarray(energy_jets.index)]
     share = np.asarray(weights) / np.sum(np.asarray(weights))
     places = {"quadrature": (domain.points, None), "data": (x, y)}

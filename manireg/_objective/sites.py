@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, ScalarLike
 
 from .._discretisation.jets import Jets
+from .._discretisation.partial_derivatives import rows_of_order
 from ..manifolds import AbstractManifold
 from .energies import AbstractEnergy
 from .losses import GeodesicLoss, Pull
@@ -47,10 +48,9 @@ class Site(eqx.Module):
     @property
     def rows(self) -> np.ndarray:
         """Of a jet, those that a term reads."""
-        m, count = self.dim, self.jets.matrices.shape[2]
-        order = np.repeat([0, 1, 2], [1, m, max(count - 1 - m, 0)])[:count]
-        read = {order for term in self.terms for order in term.orders}
-        return np.flatnonzero(np.isin(order, [*read]))
+        every = np.arange(self.jets.matrices.shape[2])
+        read = sorted({order for term in self.terms for order in term.orders})
+        return np.concatenate([every[rows_of_order(self.dim, order)] for order in read])
 
 
 def sites(stage: Stage) -> tuple[Site, Site]:

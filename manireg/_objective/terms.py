@@ -8,23 +8,31 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree, ScalarLike
 
+from .._discretisation.partial_derivatives import rows_of_order
 from ..manifolds import AbstractManifold
 
 
 class Jet(NamedTuple):
-    """Of Psi at a point, in flattened ambient coordinates. No array of rows: reverse mode
-    makes padded arrays of its slices, a third of the time of an exact Hessian."""
+    """Of Psi at a point, in flattened ambient coordinates: partial derivatives along the
+    frame E of the source there, intrinsic ones. No array of rows: reverse mode makes
+    padded arrays of its slices, a third of the time of an exact Hessian."""
 
     value: Float[Array, " t"]
     first: tuple[Float[Array, " t"], ...] = ()
-    """Along each vector E_a of the frame."""
+    """Along each vector E_a."""
     second: tuple[Float[Array, " t"], ...] = ()
-    """(a, b) in the order of `second_derivative_pairs`."""
+    """Of (a, b), a <= b: (0, 0), (0, 1), ..., (m - 1, m - 1)."""
+    third: tuple[Float[Array, " t"], ...] = ()
+    """Of (a, b, c), a <= b <= c, likewise; where the energy has that order."""
+    fourth: tuple[Float[Array, " t"], ...] = ()
 
 
 def jet_of(rows: Float[Array, "J t"], m: int) -> Jet:
-    value, *others = jnp.unstack(rows)
-    return Jet(value, tuple(others[:m]), tuple(others[m:]))
+    """`m`: directions that are differentiated along."""
+    all_rows, orders = jnp.unstack(rows), []
+    while sum(map(len, orders)) < len(all_rows):
+        orders.append(all_rows[rows_of_order(m, len(orders))])
+    return Jet(orders[0][0], *orders[1:])
 
 
 class AbstractTerm(eqx.Module):
@@ -56,7 +64,7 @@ class AbstractTerm(eqx.Module):
     """Under which `energies.terms` has its value."""
     place: ClassVar[Literal["quadrature", "data"]]
     orders: ClassVar[tuple[int, ...]]
-    """Of the derivatives of Psi it reads: at quadrature points of 0, 1, 2, at data 0."""
+    """Of the derivatives of Psi it reads: at quadrature points of 0 to 4, at data 0."""
 
     @abc.abstractmethod
     def residual(

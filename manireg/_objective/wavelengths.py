@@ -1,6 +1,6 @@
 """Lambda as a wavelength: a perturbation of wavelength l adds to loss and penalty alike at
-lambda = (l / 2 pi)^4 / V, V the volume that the data fill, whatever the target's scale (4:
-twice the order of the energy). On the host for arrays of NumPy, else in JAX."""
+lambda = (l / 2 pi)^{2p} / V, V the volume that the data fill, p the order of the energy,
+whatever the target's scale. On the host for arrays of NumPy, else in JAX."""
 
 import math
 
@@ -18,6 +18,11 @@ def mean_spacing(problem: Problem):
 def lambda_of_wavelength(problem: Problem, wavelength):
     power = 2 * problem.energy.order
     return (wavelength / (2 * math.pi)) ** power / problem.data_volume
+
+
+def wavelength_of_lambda(problem: Problem, lam):
+    power = 1 / (2 * problem.energy.order)
+    return 2 * math.pi * (lam * problem.data_volume) ** power
 
 
 def anchor(problem: Problem):

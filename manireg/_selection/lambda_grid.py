@@ -11,14 +11,14 @@ from .._objective.wavelengths import lambda_of_wavelength, mean_spacing
 
 GRID = 20  # values of a default grid
 UNRESOLVED = 0.5  # wavelength, in spacings of the centres, that no basis tells from 0
-COARSE_STEP = 8.0  # largest factor between the values of a coarse one
+COARSE_STEP = 8**0.25  # largest factor between the wavelengths of a coarse one
 
 
 def lambda_grid(problem: Problem, n: int | None = None) -> Float[Array, " n"]:
-    r"""Scale-free grid, equal steps of log lambda: lambda = (l / 2 pi)^4 / V for
-    wavelengths l from the spacing of the data, (V/k)^{1/m}, to twice the size of M,
-    vol(M)^{1/m}. V is the volume that the data fill: vol(M), or where they cluster (see
-    `centres` in `make_problem`) k times that of their median spacing.
+    r"""Scale-free grid, equal steps of log lambda: lambda = (l / 2 pi)^{2p} / V, p the
+    order of the energy, for wavelengths l from the spacing of the data, (V/k)^{1/m}, to
+    twice the size of M, vol(M)^{1/m}. V is the volume that the data fill: vol(M), or where
+    they cluster (see `centres` in `make_problem`) k times that of their median spacing.
 
     `n` defaults to 20, or where the data cluster to as many as take the same steps.
 
@@ -28,20 +28,23 @@ def lambda_grid(problem: Problem, n: int | None = None) -> Float[Array, " n"]:
     check_x64(problem)
     low, high = _logarithms_of_ends(on_host(problem))
     if n is None:
-        even = 4 * (np.log(2) + np.log(len(problem.y)) / problem.dim)
+        even = np.log(2) + np.log(len(problem.y)) / problem.dim
+        even *= 2 * problem.energy.order
         n = 1 + round((GRID - 1) * max(1.0, (high - low) / even))
     return jax.device_put(np.exp(np.linspace(low, high, n)))
 
 
 def coarse_grid(problem: Problem) -> Float[Array, " lams"]:
-    """The same range in steps of at most a factor of 8, but from wavelengths of half a
-    spacing of the centres: below, lambda hardly changes what the basis can follow."""
+    """The same range in steps of at most a factor of 8 (order p: 8^{p/2}), but from
+    wavelengths of half a spacing of the centres: below, lambda hardly changes what the
+    basis can follow."""
     here = on_host(problem)
     low, high = _logarithms_of_ends(here)
     centres = (here.data_volume / len(here.basis.centres)) ** (1 / problem.dim)
     finest = np.log(lambda_of_wavelength(here, UNRESOLVED * centres))
     low = min(max(low, finest), high)
-    n = 1 + int(np.ceil((high - low) / np.log(COARSE_STEP)))
+    step = 2 * here.energy.order * np.log(COARSE_STEP)
+    n = 1 + int(np.ceil((high - low) / step))
     return jax.device_put(np.exp(np.linspace(low, high, n)))
 
 

@@ -227,7 +227,7 @@ class LeaveOneOut(AbstractScore):
 
 def _total(model: RegressionMap) -> float:
     """The objective, but for the pull towards N; infinite if it is not a number."""
-    parts = (model.energies.loss, model.lam, model.energies.eells)
+    parts = (model.energies.loss, model.lam, model.energies.energy)
     loss, lam, energy = map(float, parts)
     return float(np.nan_to_num(loss + lam * energy, nan=np.inf))
 

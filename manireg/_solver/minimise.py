@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, ScalarLike
 
+from .._discretisation.partial_derivatives import rows_of_order
 from .._objective.patches import moved, patches_near
 from .._objective.problem import Problem
 from .._objective.sites import Stage
@@ -82,9 +83,10 @@ def minimise(
 
 def _residual_terms(problem: Problem, lam, w: Float[Array, "KC t"]):
     """Root mean square of the terms that residuals are sums of: coordinates in the loss,
-    in the energy products of coefficients and second derivatives of the basis."""
-    second = problem.energy_jets.matrices[:, :, 1 + problem.basis.dim :]
-    sums = jnp.sum(jnp.sum(jnp.abs(second), axis=-1) ** 2, axis=-1)
+    in the energy products of coefficients and the highest derivatives of the basis."""
+    highest = rows_of_order(problem.basis.dim, problem.energy.order)
+    highest = problem.energy_jets.matrices[:, :, highest]
+    sums = jnp.sum(jnp.sum(jnp.abs(highest), axis=-1) ** 2, axis=-1)
     energy = lam * jnp.sum(problem.energy_weights * sums) * jnp.max(w**2)
     share = problem.weights / jnp.sum(problem.weights)
     return jnp.sqrt(jnp.sum(share * jnp.sum(problem.y**2, axis=1)) + energy)

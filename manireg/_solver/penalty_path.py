@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import optimistix as optx
 
-from .._objective.energies import Eells
+from .._objective.energies import IntrinsicEnergy
 from .._objective.objective import objective
 from .._objective.problem import Problem
 from .._objective.sites import Stage
@@ -23,9 +23,9 @@ def penalty_path(problem: Problem, lam, w0, newton: Newton) -> Minimum:
     1e-4 of the reach, or no longer halves (the basis cannot follow N more closely; more
     gamma would make the map worse)."""
     reach = jnp.minimum(jnp.asarray(problem.target.reach, float), 1e3)
-    on_target = Stage(problem, lam, 0.0, Eells())
+    on_target = Stage(problem, lam, 0.0, IntrinsicEnergy())
     _, start = objective(w0, on_target)
-    gamma = MARGIN * (start.loss + lam * start.eells) / (problem.volume * reach**2)
+    gamma = MARGIN * (start.loss + lam * start.energy) / (problem.volume * reach**2)
 
     def minimise(w, gamma):
         stage = Stage(problem, lam, gamma, problem.energy.penalised())

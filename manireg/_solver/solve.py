@@ -26,7 +26,7 @@ from .minimise import Method, minimise, newton_minimiser, stage_of
 from .minimum import Minimum, is_successful, unsolved
 from .model import RegressionMap, regression_map
 from .newton import add_counts
-from .starts import STRIDE, starts_of
+from .starts import starts_of, stride
 
 STARTS = (1.0, 1e-2)
 ON_THE_WAY = 1e-3  # relative decrease at which Newton stops there
@@ -58,7 +58,7 @@ def solve(
 
     - `problem`: from `make_problem`.
     - `lam`: lambda > 0, one number, exactly as in the formula; it has the unit of
-      length^{4-m} of the source.
+      length^{2p-m} of the source, p the order of the energy.
     - `method`: `"projected"` (the default, but on `Ambient` sources) minimises the Eells
       energy of $\pi \circ \Psi$, with a weak pull of Psi towards N that fixes the gauge;
       the result lies on N and no continuation is needed. `"penalty"` is the paper's:
@@ -109,7 +109,7 @@ def checked(model: RegressionMap, max_steps: int) -> RegressionMap:
         return eqx.tree_at(lambda m: m.coefficients, model, w)
     if not is_successful(model.result):
         steps, energies = int(model.stats["num_steps"]), model.energies
-        total = float(energies.loss + model.lam * energies.eells)
+        total = float(energies.loss + model.lam * energies.energy)
         raise RuntimeError(
             f"fit: Newton did not converge for lam = {float(model.lam):.4g}. The lowest "
             f"map of all starts has the objective {total:.6g} (root mean square residual "
@@ -126,6 +126,11 @@ def _check_options(problem: Problem, method, starts, warm, max_steps: int):
             f"method: expected 'projected' or 'penalty', found {method!r}."
         )
     check_x64(problem)
+    if method == "penalty" and problem.energy.order != 2:
+        raise ValueError(
+            "method: 'penalty' is the paper's, for order 2; leave it out for order "
+            f"{problem.energy.order}."
+        )
     if method == "projected" and not problem.energy.on_target:
         raise ValueError(
             "method: 'projected' is not defined on Ambient sources; leave it out, for the "
@@ -148,8 +153,8 @@ def _check_options(problem: Problem, method, starts, warm, max_steps: int):
 
 def _one_by_one(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     """By programs that all fits share. The minimum is the lowest of all starts, each
-    followed from its first lambda to `lam` in steps of at most a factor of `STRIDE`."""
-    goal = float(lam)
+    followed from its first lambda to `lam` in steps of at most a factor of `stride`."""
+    goal, step = float(lam), stride(problem)
 
     def follow(w, now) -> Minimum:
         last = bool(now >= goal)
@@ -158,7 +163,7 @@ def _one_by_one(problem, lam, starts, warm, method, solvers, rtol, max_steps):
         found = found._replace(stats=jax.tree.map(np.asarray, found.stats))
         if last:
             return found
-        onward = STRIDE * now if STRIDE * now < (1 - 1e-9) * goal else goal
+        onward = step * now if step * now < (1 - 1e-9) * goal else goal
         further = follow(found.w, onward)
         return further._replace(stats=add_counts(further.stats, found.stats))
 
@@ -206,8 +211,8 @@ def _in_one_program(problem, lam, starts, warm, method, solvers, rtol, max_steps
 
 def _followed(problem, lam, lane, method, solvers, rtol, max_steps):
     """From a start to the minimum at its first lambda, and on to the one at `lam` in a few
-    steps of at most a factor of `STRIDE`. `lane`: coefficients, first lambda."""
-    w, first = lane
+    steps of at most a factor of `stride`. `lane`: coefficients, first lambda."""
+    (w, first), step = lane, stride(problem)
 
     def solve_at(now, w):
         last = now >= lam
@@ -220,12 +225,12 @@ def _followed(problem, lam, lane, method, solvers, rtol, max_steps):
 
     def go_on(carry):
         now, before = carry
-        now = jnp.where(STRIDE * now < (1 - 1e-9) * lam, STRIDE * now, lam)
+        now = jnp.where(step * now < (1 - 1e-9) * lam, step * now, lam)
         found = solve_at(now, before.w)
         return now, found._replace(stats=add_counts(found.stats, before.stats))
 
     # the first lambda is that of a step taken from nowhere: one program serves all
-    start = first / STRIDE, unsolved(stage_of(problem, lam, 0.0, method, w), w)
+    start = first / step, unsolved(stage_of(problem, lam, 0.0, method, w), w)
     return jax.lax.while_loop(on_the_way, go_on, start)[1]
 
 

@@ -23,7 +23,12 @@ from .._objective.wavelengths import anchor
 from .linear import AbstractSolvers
 from .minimise import Method, gauge, stage_of
 
-STRIDE = 100.0  # largest step of lambda on the way from a start
+STRIDE = 10**0.5  # largest step of the wavelength on the way from a start
+
+
+def stride(problem: Problem) -> float:
+    """The same of lambda."""
+    return STRIDE ** (2 * problem.energy.order)
 
 
 def starts_of(
@@ -40,7 +45,7 @@ def starts_of(
     direct = np.array(factors) >= 1
     lams = lam * jnp.asarray(factors)
     lams = jnp.where(direct, lams, jnp.minimum(lams, anchor(problem)))
-    first = jnp.where(direct, lam, jnp.minimum(lam, STRIDE * lams))
+    first = jnp.where(direct, lam, jnp.minimum(lam, stride(problem) * lams))
     free = jax.lax.map(lambda lam: free_solution(problem, lam, solvers), lams)
     stage = stage_of(problem, lam, gauge(problem), method, free[0])
     if not stage.energy.on_target or stage.patches is not None:
@@ -103,7 +108,7 @@ def free_solution(
 
 def _spline(problem: Problem, jets: Jets, y, lam, solvers: AbstractSolvers):
     """Of data `y` around 0, with the energy of the given jets."""
-    flat = lambda args: problem.energy.penalised().flat(problem.basis.dim, args)
+    flat = lambda args: problem.energy.flat(problem.basis.dim, args)
     at_points = jax.tree.map(lambda a: a[jets.index], problem.energy_arguments)
     axes = 0 if jax.tree.leaves(at_points) else None
     size = jets.index.shape[1]

@@ -1,5 +1,6 @@
 """Bad input is named here, once, at the public boundary: what was found, what to do."""
 
+import math
 import warnings
 
 import equinox as eqx
@@ -14,8 +15,6 @@ from .._input.shown import shown
 from .._source import AbstractSource
 from ..manifolds import AbstractManifold, PointCloud
 from ..manifolds._membership import is_concrete as is_concrete, projected as projected
-
-LARGEST_DIM = 3  # of a source: derivatives of order p control values where 2p > m
 
 
 def check_points(name: str, space: AbstractSource, points, count=None):
@@ -66,25 +65,25 @@ def check_inputs(source: AbstractSource, x) -> tuple[Array, bool]:
 
 
 def check_data(
-    source: AbstractSource, target: AbstractManifold, x, y, weights
+    source: AbstractSource, target: AbstractManifold, x, y, weights, order: int = 2
 ) -> tuple[Array, Array, Array]:
     """Ambient coordinates of `x (k, s)` and of `y (k, t)` projected onto the target,
-    `weights (k,)`."""
-    if not isinstance(target, AbstractManifold):
-        raise ValueError(
-            f"target: expected a manireg manifold, found {type(target).__name__}."
-        )
+    `weights (k,)`; enough of them for an energy of that order."""
+    check_target(target)
     check_source(source)
     x = check_points("x", source, x)
     y = check_points("y", target, y, count=len(x))
     weights = _checked_weights(weights, len(x))
-    least = source.dim + 2
+    m = source.dim
+    flat = source.linear or source.sampled is not source
+    # in flat spaces as many as there are polynomials of no energy
+    least = math.comb(order - 1 + m, m) if flat else m + 2
     distinct = len(np.unique(x[weights > 0], axis=0))
     if distinct < least:
         of_weight = "" if np.all(weights > 0) else " of positive weight"
         raise ValueError(
             f"x: {distinct} distinct inputs{of_weight} are too few; a source of dimension "
-            f"{source.dim} needs at least {least}."
+            f"{m} needs at least {least} for order {order}."
         )
     y = projected(target, y.reshape(-1, *target.point_shape))
     if text := target.doubt(np.asarray(y)):
@@ -92,6 +91,13 @@ def check_data(
     # copies: the arrays of the user may change
     y = np.asarray(y).reshape(len(x), -1)
     return jax.device_put((np.array(x), np.array(y), np.array(weights)))
+
+
+def check_target(target: AbstractManifold):
+    if not isinstance(target, AbstractManifold):
+        raise ValueError(
+            f"target: expected a manireg manifold, found {type(target).__name__}."
+        )
 
 
 def check_source(source: AbstractSource):
@@ -102,16 +108,44 @@ def check_source(source: AbstractSource):
         )
 
 
-def check_dimension(source: AbstractSource):
-    check_source(source)
-    m = source.sampled.dim
-    if m > LARGEST_DIM:
+def check_order(order: int, source: AbstractSource, target: AbstractManifold):
+    """Of the energy of a regression."""
+    check_known(order, source, target)
+    m, name = source.sampled.dim, type(source.sampled).__name__
+    least = m // 2 + 1
+    if order < least:
+        cure = f"Take `order={least}`, or" if least <= _highest(source) else "Take"
         raise ValueError(
-            f"source: {type(source.sampled).__name__} has dimension {m}; energies of "
-            f"second derivatives have minimisers up to dimension {LARGEST_DIM}. Above, "
-            "narrow spikes go through any data at no cost. Take fewer inputs, or "
-            "manireg.baselines.nadaraya_watson."
+            f"order: {name} has dimension {m}, where energies of derivatives of order "
+            f"{order} have no minimisers: narrow spikes go through any data at no cost. "
+            f"{cure} fewer inputs, or manireg.baselines.nadaraya_watson."
         )
+
+
+def check_known(order: int, source: AbstractSource, target: AbstractManifold):
+    """Whether the geodesics of both are known to the order of an energy."""
+    check_source(source)
+    check_target(target)
+    if order not in (1, 2, 3, 4):
+        raise ValueError(f"order: expected 1, 2, 3 or 4, found {order!r}.")
+    name = type(source.sampled).__name__
+    if order > _highest(source):
+        raise ValueError(
+            f"order: on {name} at most {_highest(source)}, found {order}. The fourth is "
+            "for curves; the geodesics of a scan are known to second order, so there take "
+            "2, or Ambient(source) for 3."
+        )
+    if order > 3 and target.known_points() is not None:
+        raise ValueError(
+            f"order: for maps into a {type(target).__name__} at most 3, found {order}: "
+            "the fourth needs the derivative of its curvature, which a scan does not tell."
+        )
+
+
+def _highest(source: AbstractSource) -> int:
+    if source.sampled is source and source.known_points() is not None:
+        return 2
+    return 4 if source.sampled is source and source.dim == 1 else 3
 
 
 def check_landmarks(
@@ -130,7 +164,7 @@ def check_landmarks(
     return landed
 
 
-def check_tension(tension: float, source: AbstractSource):
+def check_tension(tension: float, source: AbstractSource, order: int = 2):
     if not (np.isfinite(tension) and tension >= 0):
         raise ValueError(f"tension: must be finite and at least 0, found {tension}.")
     if tension and source.sampled is source:
@@ -138,6 +172,8 @@ def check_tension(tension: float, source: AbstractSource):
             f"tension: only for `Ambient` sources, found {type(source).__name__}. Leave "
             "it out, or take Ambient(source)."
         )
+    if tension and order != 2:
+        raise ValueError(f"tension: only for order 2, found order {order}.")
 
 
 _LAM = (

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import manireg as mr
-from manireg._objective.energies import Eells, PenalisedEells
+from manireg._objective.energies import AmbientEnergy, IntrinsicEnergy
 from manireg._objective.hessian import exact, gauss_newton
 from manireg._objective.objective import objective
 from manireg._objective.sites import Stage
@@ -43,7 +43,7 @@ def predict(problem, lam):
 
 @pytest.mark.parametrize(
     "energy",
-    [pytest.param(Eells(), marks=pytest.mark.slow), PenalisedEells()],
+    [pytest.param(IntrinsicEnergy(), marks=pytest.mark.slow), AmbientEnergy()],
     ids=repr,
 )
 def test_hessians(problem, energy):
@@ -63,7 +63,7 @@ def test_hessians(problem, energy):
 
 def test_assembly_in_chunks(problem, monkeypatch):
     w = mr.solve(problem, 1e-2).coefficients
-    stage = Stage(problem, LAM, 0.1, PenalisedEells())
+    stage = Stage(problem, LAM, 0.1, AmbientEnergy())
     whole = gauss_newton(w, stage).blocks
     elements, pairs = problem.data_places[0].shape
     assert 12 == problem.data_jets.count < elements  # in chunks of five, filled up
