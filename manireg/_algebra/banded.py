@@ -33,14 +33,17 @@ def solve_banded(
     return x
 
 
-def inverse_in_band(columns: Float[Array, "n band m m"]) -> Float[Array, "n band m m"]:
-    """The blocks of the inverse in the same places, whatever the size of the matrix
-    without the rest of it. Not a number where that is not positive definite.
+def window_factors(
+    columns: Float[Array, "n band m m"],
+) -> Float[Array, "n size size"]:
+    """For the rows and columns that each block column meets, L^{-1} of what is left of
+    the matrix once all others are eliminated, from both ends: of vectors a in there
+    a^T H^{-1} a = |L^{-1} a|^2, whatever the size of the matrix without the rest of it.
+    Not a number where that is not positive definite.
 
-    Of the rows and columns that a block column meets, the inverse is that of what is left
-    of the matrix once all others are eliminated, from both ends. (The recursion of
-    Takahashi, Fagan and Chen 1973 takes half the time, and its rounding grows without
-    bound where functions of neighbours are nearly dependent.)
+    (The blocks of the inverse themselves, by this or by the recursion of Takahashi, Fagan
+    and Chen 1973, are large where functions of neighbours are nearly dependent, and of
+    a^T H^{-1} a their rounding is left.)
     """
     n, band, m, _ = columns.shape
     size = band * m
@@ -52,17 +55,15 @@ def inverse_in_band(columns: Float[Array, "n band m m"]) -> Float[Array, "n band
     after = after.reshape(n, band, m, band, m)[last, ::-1, :, ::-1]
     after = jnp.where((last >= 0)[:, None, None, None, None], after, 0.0)
 
-    def column_of(window, arrays):
+    def factor_of(window, arrays):
         column, gone = arrays
         own, below = column[0], column[1:].reshape(size - m, m)
         window = jnp.block([[own, below.T], [below, window]])
-        inverse = inverse_cholesky(window - gone)
-        return window[:-m, :-m], inverse.T @ inverse[:, :m]
+        return window[:-m, :-m], inverse_cholesky(window - gone)
 
     gone = before + after.reshape(n, size, size)
     beyond = jnp.eye(size - m)
-    _, inverse = jax.lax.scan(column_of, beyond, (columns, gone), reverse=True)
-    return inverse.reshape(n, band, m, m)
+    return jax.lax.scan(factor_of, beyond, (columns, gone), reverse=True)[1]
 
 
 def _eliminated(columns: Float[Array, "n band m m"]) -> Float[Array, "n size size"]:

@@ -16,8 +16,8 @@ import lineax as lx
 import sparsax
 from jaxtyping import Array, Float, Int
 
-from .banded import inverse_in_band, solve_banded
-from .covariances import Elements, from_blocks, from_solves
+from .banded import solve_banded, window_factors
+from .covariances import Elements, from_solves, from_windows
 from .sparse import SparseSymmetric
 
 RIDGES = (1e-14, 1e-12, 1e-10)  # times the diagonal, tried in turn
@@ -103,12 +103,14 @@ class BandCholesky(AbstractPositive):
         return solution.reshape(vector.shape), lx.RESULTS.successful, {}
 
     def covariances(self, operator, elements):
-        pattern = operator.pattern
         columns, size = self.init(operator, {})
-        inverse = lambda ridge: inverse_in_band(_ridged(columns, size, ridge))
-        found = first_finite(inverse, RIDGES, columns)[0]
-        blocks = found[pattern.rows, pattern.cols - pattern.rows]
-        return from_blocks(jnp.swapaxes(blocks, 1, 2), elements)
+        n, band, m, _ = columns.shape
+        factors = first_finite(
+            lambda ridge: window_factors(_ridged(columns, size, ridge)),
+            RIDGES,
+            jnp.zeros((n, band * m, band * m)),
+        )[0]
+        return from_windows(factors, band, elements)
 
 
 def _ridged(columns: Float[Array, "n band m m"], size, ridge):

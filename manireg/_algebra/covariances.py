@@ -23,33 +23,29 @@ class Elements(NamedTuple):
     """Which unknowns these are, negative where there is none."""
     present: Int[Array, ""]
     """How many of the elements hold points; they come first."""
-    places: Int[Array, "e pairs"]
-    """Where the pairs of centres i <= j are among the blocks of the matrix."""
 
 
-def from_blocks(
-    inverse: Float[Array, "nnz b b"], elements: Elements
+def from_windows(
+    factors: Float[Array, "n size size"], band: int, elements: Elements
 ) -> Float[Array, "e p t t"]:
-    """By the blocks of the inverse for pairs of centres that meet."""
-    L, f = elements.values.shape[2:]
-    i, j = np.triu_indices(L)
-    b = inverse.shape[-1]
+    """By the factors of `window_factors` for the centres from the first of an element
+    on."""
+    f, size = elements.values.shape[3], factors.shape[1]
 
     def of_element(element):
-        values, places = element
-        blocks = inverse.at[places].get(mode="fill", fill_value=0.0)
-        blocks = blocks.reshape(len(i), f, b // f, f, b // f)
-        half = jnp.einsum("pnf,nfagb->pnagb", values[:, i], blocks)
-        each = jnp.einsum("pnagb,png->pnab", half, values[:, j])
-        off = jnp.sum(each * (i < j)[:, None, None], axis=1)
-        own = jnp.sum(each * (i == j)[:, None, None], axis=1)
-        return own + off + jnp.swapaxes(off, 1, 2)
+        values, columns = element
+        centres = columns[::f] // f  # -1 // f is -1
+        first = jnp.min(jnp.where(centres < 0, len(factors), centres))
+        place = jnp.where(centres < 0, band, centres - first)
+        window = jnp.zeros((len(values), band, f)).at[:, place].add(values, mode="drop")
+        factor = factors[first].reshape(size, band, f, -1)
+        whole = jnp.einsum("rcfa,pcf->par", factor, window)
+        return jnp.einsum("par,pbr->pab", whole, whole)
 
-    points = elements.values.shape[1]
-    size = 8 * len(i) * b * (b + points * b // f)
-    arrays = elements.values, elements.places
     every = jax.vmap(of_element)
-    return map_chunks(every, arrays, CHUNK_BYTES / size, elements.present)
+    return map_chunks(
+        every, elements[:2], CHUNK_BYTES / (8 * size**2), elements.present
+    )
 
 
 def from_solves(

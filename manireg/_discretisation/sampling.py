@@ -23,8 +23,8 @@ def sample(
     share: float = 1.0,
 ):
     """Centres, the spacing around them, quadrature, and the volume that the data fill: all
-    of it, or where they cluster what they would fill at their median density. `share`: of the default number of
-    centres."""
+    of it, or where they cluster what they would fill at their median density. `share`: of
+    the default number of centres."""
     m = source.sampled.dim
     low, high = DEFAULT_CENTRES.get(m, DEFAULT_CENTRES[3])
     wanted = CENTRES_PER_DATUM.get(m, CENTRES_PER_DATUM[3]) * len(x)

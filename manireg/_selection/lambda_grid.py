@@ -10,6 +10,9 @@ from .._objective.problem import Problem
 from .._objective.wavelengths import lambda_of_wavelength, mean_spacing
 
 GRID = 20  # values of a default grid
+# Least wavelength in spacings: of orders p and two the least lambdas damp what alternates
+# from datum to datum alike, by a sixteenth.
+FINEST = 2.0
 UNRESOLVED = 0.5  # wavelength, in spacings of the centres, that no basis tells from 0
 COARSE_STEP = 8**0.25  # largest factor between the wavelengths of a coarse one
 
@@ -51,6 +54,7 @@ def coarse_grid(problem: Problem) -> Float[Array, " lams"]:
 def _logarithms_of_ends(here: Problem) -> tuple[float, float]:
     """Of a grid, from the wavelength of the data's spacing to that of twice the source."""
     size = np.sum(here.energy_weights) ** (1 / here.dim)
-    low = float(np.log(lambda_of_wavelength(here, mean_spacing(here))))
+    finest = FINEST ** (1 - 2 / here.energy.order) * mean_spacing(here)
+    low = float(np.log(lambda_of_wavelength(here, finest)))
     high = float(np.log(lambda_of_wavelength(here, 2 * size)))
     return low, high

@@ -188,7 +188,8 @@ class LeaveOneOut(AbstractScore):
         self.linear_algebra, self.max_steps = linear_algebra, max_steps
 
     def start(self, lam):
-        return _free(self.given, lam, _solvers(self))
+        start = _free if self.problem.energy.order <= 2 else _projected
+        return start(self.given, lam, _solvers(self))
 
     def fit(self, lam, place):
         limits = Limits(RTOL, self.max_steps, certify=False)
@@ -240,3 +241,9 @@ def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
 
 
 _free = program(most=16)(free_solution)
+
+
+@program(most=16)
+def _projected(problem: Problem, lam, solvers):
+    """On N: derivatives of a higher order of a map that leaves it are large."""
+    return starts_of(problem, lam, (1.0,), "projected", solvers)[0][0]

@@ -23,7 +23,7 @@ def left_out_errors(
     scored: tuple[Int[Array, " n"], Int[Array, ""]] | None = None,
 ) -> Float[Array, "_"]:
     """Length of each datum's residual in the fit without it, to first order. `hessian`:
-    at `w`; of its inverse are needed the blocks of centres that share a datum.
+    at `w`.
     `scored`: the data wanted, and how many of them to look at; default all."""
     problem, (_, data) = stage.problem, sites(stage)
     jets, k, t = problem.data_jets, len(problem.y), problem.y.shape[1]
@@ -44,7 +44,6 @@ def left_out_errors(
             pick(elements.values),
             elements.columns[element],
             count,
-            elements.places[element],
         )
     covariance = solvers.positive.covariances(hessian, elements)
     leverage = projection @ covariance @ jnp.swapaxes(projection, -1, -2)
@@ -58,7 +57,7 @@ def left_out_errors(
 def _elements(problem: Problem) -> Elements:
     """Of all data."""
     jets = problem.data_jets
-    ((_, _, U),), (places,) = jets.buckets, problem.data_places
+    ((_, _, U),) = jets.buckets
     values = jets.matrices[:, :, 0, :U] * jets.mask[:, :, None]
     values = values.reshape(*values.shape[:2], -1, problem.pattern.functions)
-    return Elements(values, jets.columns[:, :U], jets.count, places)
+    return Elements(values, jets.columns[:, :U], jets.count)
