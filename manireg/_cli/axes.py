@@ -101,10 +101,12 @@ def axis_of(name: str, tables: Sequence[TextTable]) -> Axis:
     return Axis(name, min(_exact(tables[0], name, False)))
 
 
-def lambda_unit(axes: Sequence[Axis]) -> str:
-    """Of a fit over `axes`, length^(4 - m), where all are dates."""
-    power = {1: "s^3", 2: "s^2", 3: "s"}.get(len(axes), "")
-    return power if all(axis.dates for axis in axes) else ""
+def lambda_unit(axes: Sequence[Axis], order: int = 2) -> str:
+    """Of a fit over `axes`, length^(2 order - m), where all are dates."""
+    power = 2 * order - len(axes)
+    if power < 1 or not all(axis.dates for axis in axes):
+        return ""
+    return "s" if power == 1 else f"s^{power}"
 
 
 def _exact(table: TextTable, name: str, dates: bool) -> list[Decimal]:

@@ -12,6 +12,7 @@ import manireg as mr
 
 from .. import plot
 from .._input.shown import shown
+from .._selection.orders import Order
 from .._selection.scores import STEPS_TO_THE_END
 from .._solver.solve import checked
 from ..datasets._entries import is_data
@@ -63,6 +64,13 @@ def fit(
         str,
         typer.Option(help="Smoothness lambda: a number, or `auto`: cross-validated."),
     ] = "auto",
+    order: Annotated[
+        str,
+        typer.Option(
+            help="Of the derivatives that are kept small: 2 (bending), 1, 3 or 4; several "
+            "with commas, or `auto`, to choose from."
+        ),
+    ] = "2",
     predict: Annotated[
         str,
         typer.Option(
@@ -139,12 +147,12 @@ def fit(
         shape = (-1,) if one else (-1, len(inputs))
         problem = source, there.manifold, x.reshape(shape), there.points
 
-        start, cv = time.perf_counter(), None
+        start, cv, p = time.perf_counter(), None, _order(order)
         if lam == "auto":
-            cv = chosen(problem, w, folds, seed)
-            model = checked(cv.model, STEPS_TO_THE_END)
+            cv = chosen(problem, w, folds, seed, p)
+            model, p = checked(cv.model, STEPS_TO_THE_END), cv.order
         else:
-            model = mr.fit(*problem, _number(lam), weights=w)
+            model = mr.fit(*problem, _number(lam), weights=w, order=p)
         predicted = np.array(model(queries.reshape(shape)))
         seconds = time.perf_counter() - start
 
@@ -156,16 +164,19 @@ def fit(
         summary = f"{len(x)} rows of {data.name}, {', '.join(inputs)} -> {target}"
         starts = [f"{a.name} in seconds since {a.start}" for a in axes if a.dates]
         more = {"dates": ", ".join(starts)} if starts else {}
-        unit = lambda_unit(axes)
-        report(summary, model, cv, there.degrees, seconds, written, more, unit)
+        unit = lambda_unit(axes, p)
+        report(summary, model, cv, there.degrees, seconds, written, more, unit, p)
 
 
-def chosen(problem, w, folds: int | None, seed: int) -> mr.CrossValidation:
+def chosen(
+    problem, w, folds: int | None, seed: int, order: Order = 2
+) -> mr.CrossValidation:
     """Lambda, by leaving out each row or so many folds of them."""
+    options: dict[str, Any] = {"weights": w, "order": order}
     if folds is None:
-        return mr.leave_one_out(*problem, weights=w)
+        return mr.leave_one_out(*problem, **options)
     key, folds = jax.random.key(seed), min(folds, len(problem[2]))
-    return mr.cross_validate(*problem, folds=folds, key=key, weights=w)
+    return mr.cross_validate(*problem, folds=folds, key=key, **options)
 
 
 def _check_not_read(out: Path, *tables: Path) -> None:
@@ -207,6 +218,19 @@ def _number(lam: str) -> float:
         return float(lam)
     except ValueError:
         raise ValueError(f"--lam is a number or auto, found {lam!r}.") from None
+
+
+def _order(order: str) -> Any:
+    """A number, several, or `auto`."""
+    if order == "auto":
+        return order
+    try:
+        several = tuple(int(p) for p in order.split(","))
+    except ValueError:
+        raise ValueError(
+            f"--order is 1, 2, 3 or 4, several with commas, or auto, found {order!r}."
+        ) from None
+    return several[0] if len(several) == 1 else several
 
 
 def _asked(predict: str, inputs: list[str], missing: Missing) -> TextTable:

@@ -19,9 +19,10 @@ def report(
     files: list[Path],
     more: dict[str, str] | None = None,
     unit: str = "",
+    order: int = 2,
 ) -> None:
     """Of a fitted map: for `manireg demo` and `manireg fit`. `unit` is that of
-    lambda, where it is known."""
+    lambda, where it is known, `order` that of the energy."""
 
     def error(distance) -> str:
         scale = 1.0 if degrees is None else degrees
@@ -33,12 +34,16 @@ def report(
     chosen = "" if cv is None else "(cross-validation)"
     if cv is not None and bool(cv.on_edge):
         chosen = "(cross-validation, at the end of the grid)"
+    if cv is not None and len(cv.paths) > 1:
+        tried = ", ".join(str(p) for p in cv.paths)
+        rows["order"] = f"{order} (of {tried}, cross-validation)"
     rows["lambda"] = " ".join(filter(None, [shown(float(model.lam)), unit, chosen]))
     if cv is not None:
         rows["held-out error, mean"] = error(cv.score)
     rows["residual, rms"] = error(np.sqrt(model.energies.loss))
     rows |= more or {}
-    rows["Eells energy"] = f"{float(model.energies.eells):.4g}"
+    energy = "Eells energy" if order == 2 else f"energy of order {order}"
+    rows[energy] = f"{float(model.energies.energy):.4g}"
     rows["off the manifold"] = f"{float(model.energies.off_manifold):.1e}"
     rows["time"] = f"{seconds:.1f} s"
     print_rows(rows, files)

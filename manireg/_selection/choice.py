@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._input.precision import as_scalar
+from .._objective.arguments import on_host
+from .._objective.wavelengths import wavelength_of_lambda
 from .._solver.model import RegressionMap
 from .path import Leg, follow
 from .scores import AbstractScore, Fit
@@ -34,6 +36,22 @@ class CrossValidation(eqx.Module):
     """Where Newton converged."""
     model: RegressionMap
     """Fitted to all data with `lam`."""
+    criterion: Float[Array, " lams"]
+    """What is lowest at `lam`: mean scores, those of `leave_one_out` with their largest
+    tenth cut to the ninth decile."""
+    wavelengths: Float[Array, " lams"]
+    """Those at which each of `lams` damps a perturbation by a half (see `lambda_grid`):
+    comparable between orders."""
+    order: int = eqx.field(static=True)
+    """Of the energy."""
+    others: dict[int, "CrossValidation"] = eqx.field(default_factory=dict)
+    """The same of other orders that were tried."""
+
+    @property
+    def paths(self) -> dict[int, "CrossValidation"]:
+        """By order, ascending: of all that were tried the grids, scores and maps."""
+        own = eqx.tree_at(lambda cv: cv.others, self, {}, is_leaf=_is_paths)
+        return dict(sorted({**self.others, self.order: own}.items()))
 
     @property
     def score(self) -> Float[Array, ""]:
@@ -94,8 +112,15 @@ def choose(
         fits[lam] for lam in lams[max(best - 1, 0) : best + 1].tolist() if lam in fits
     ]
     model = score.model(as_scalar(lams[best]), near)
-    lam, lams = jax.device_put((lams[best], lams))
-    return CrossValidation(lam, lams, scores, converged, model)
+    wavelengths = wavelength_of_lambda(on_host(score.problem), lams)
+    chosen, criterion = lams[best], np.mean(np.asarray(results[0]), axis=0)
+    arrays = jax.device_put((chosen, lams, scores, converged))
+    about = jax.device_put((criterion, wavelengths))
+    return CrossValidation(*arrays, model, *about, score.problem.energy.order)
+
+
+def _is_paths(value: Any) -> bool:
+    return isinstance(value, dict)
 
 
 def lowest(scores: Float[Array | np.ndarray, "folds n"]) -> int:

@@ -14,6 +14,7 @@ from .choice import CrossValidation, choose
 from .folds import training_sets
 from .given import problem_and_lams
 from .lambda_grid import lambda_grid
+from .orders import Order, over_orders
 from .path import up_and_down
 from .scores import KFold
 
@@ -33,6 +34,7 @@ def cross_validate(
     width: float | None = None,
     graded: bool = False,
     tension: float = 0.0,
+    order: Order = 2,
     linear_algebra: str = "auto",
     max_steps: int = 25,
     progress: bool = True,
@@ -58,33 +60,41 @@ def cross_validate(
     - `folds`: at most the number of data (of positive weight); default 10, or that number
       if it is smaller.
     - `key`: for the random folds, default `jax.random.key(0)`.
+    - `order`: of the energy, or several to choose from, `(2, 3)`; `"auto"` tries 2, 3 and
+      4 as far as source and target allow. Each has a path of its own; the one whose
+      criterion is lowest is returned, with all in `paths`.
     - `linear_algebra`, `max_steps`: as in `solve`; the steps are those of a fold's fit.
     - `progress`: show a progress bar.
 
     **Raises** ValueError as `make_problem` does, for data beside a `Problem`, and for
     `lams` and `folds` that are not as above.
     """
-    problem, lams = problem_and_lams(
-        source,
-        target,
-        x,
-        y,
-        lams,
-        weights=weights,
-        centres=centres,
-        degree=degree,
-        width=width,
-        graded=graded,
-        tension=tension,
-    )
-    default = lams is None
-    training = training_sets(problem.weights, folds, key)
-    grid = np.asarray(lambda_grid(problem)) if default else check_lams(lams)
-    middle = float(anchor(on_host(problem)))
-    return choose(
-        KFold(problem, training, linear_algebra, max_steps),
-        grid,
-        lambda lams: up_and_down(lams, middle, to_the_end=not default),
-        widen=default,
-        progress=progress,
-    )
+
+    def of(order: int) -> CrossValidation:
+        problem, given = problem_and_lams(
+            source,
+            target,
+            x,
+            y,
+            lams,
+            weights=weights,
+            centres=centres,
+            degree=degree,
+            width=width,
+            graded=graded,
+            tension=tension,
+            order=order,
+        )
+        default = given is None
+        training = training_sets(problem.weights, folds, key)
+        grid = np.asarray(lambda_grid(problem)) if default else check_lams(given)
+        middle = float(anchor(on_host(problem)))
+        return choose(
+            KFold(problem, training, linear_algebra, max_steps),
+            grid,
+            lambda lams: up_and_down(lams, middle, to_the_end=not default),
+            widen=default,
+            progress=progress,
+        )
+
+    return over_orders(order, source, target, lams, of)

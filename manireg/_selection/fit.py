@@ -11,6 +11,7 @@ from .._source import AbstractSource
 from ..manifolds import AbstractManifold
 from .cross_validate import cross_validate
 from .leave_one_out import leave_one_out
+from .orders import Order
 from .scores import STEPS_TO_THE_END
 
 
@@ -27,6 +28,7 @@ def fit(
     width: float | None = None,
     graded: bool = False,
     tension: float = 0.0,
+    order: Order = 2,
     loss: Literal["chord", "geodesic"] = "chord",
     folds: int | None = None,
     **options,
@@ -34,11 +36,13 @@ def fit(
     r"""Learn a smooth map `source -> target` from pairs (x_i, y_i):
 
     $$\min_\Psi \; \frac{\sum_i w_i d_N(y_i, \Psi(x_i))^2}{\sum_i w_i}
-    + \lambda \int_M |\nabla d\Psi|^2$$
+    + \lambda \int_M |\nabla^{p-1} d\Psi|^2$$
 
     **Arguments:** `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`,
-    `graded`, `tension` as in `make_problem`; `lam` lambda, or None to choose it; other
-    options go to `solve` (with `lam`), `leave_one_out` or `cross_validate` (without).
+    `graded`, `tension` as in `make_problem`; `order` p as there (default 2, the Eells
+    energy), or without `lam` several, `(2, 3)` or `"auto"`, to choose from; `lam` lambda,
+    or None to choose it; other options go to `solve` (with `lam`), `leave_one_out` or
+    `cross_validate` (without).
 
     - `folds`: choose lambda by `cross_validate` with so many folds; default by
       `leave_one_out`, of which one fit a lambda is enough.
@@ -59,6 +63,7 @@ def fit(
         "width": width,
         "graded": graded,
         "tension": tension,
+        "order": order,
     }
     if loss not in ("chord", "geodesic") or (loss == "geodesic" and lam is None):
         raise ValueError(

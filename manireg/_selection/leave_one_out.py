@@ -12,6 +12,7 @@ from ..manifolds import AbstractManifold
 from .choice import CrossValidation, choose
 from .given import problem_and_lams
 from .lambda_grid import coarse_grid
+from .orders import Order, over_orders
 from .path import downwards
 from .scores import LeaveOneOut
 
@@ -29,6 +30,7 @@ def leave_one_out(
     width: float | None = None,
     graded: bool = False,
     tension: float = 0.0,
+    order: Order = 2,
     linear_algebra: str = "auto",
     max_steps: int = 40,
     progress: bool = True,
@@ -57,6 +59,9 @@ def leave_one_out(
       range of `lambda_grid`, from wavelengths of half a spacing of the centres, in steps
       of at most a factor of 8, and one more, where the parabola through the lowest mean
       and its neighbours has its vertex.
+    - `order`: of the energy, or several to choose from, `(2, 3)`; `"auto"` tries 2, 3 and
+      4 as far as source and target allow. Each has a path of its own; the one whose
+      criterion is lowest is returned, with all in `paths`.
     - `linear_algebra`, `max_steps`: as in `solve`.
     - `progress`: show a progress bar.
 
@@ -70,28 +75,33 @@ def leave_one_out(
     `lams` that are not as above. **Warns** as `solve` does, whatever lambda is chosen
     of a grid that reaches below what the basis resolves.
     """
-    problem, lams = problem_and_lams(
-        source,
-        target,
-        x,
-        y,
-        lams,
-        weights=weights,
-        centres=centres,
-        degree=degree,
-        width=width,
-        graded=graded,
-        tension=tension,
-    )
-    default = lams is None
-    cv = choose(
-        LeaveOneOut(problem, linear_algebra, max_steps),
-        np.asarray(coarse_grid(problem)) if default else check_lams(lams),
-        downwards,
-        refine=default,
-        progress=progress,
-    )
-    warn_where_coarse(
-        problem, cv.model.coefficients, cv.lam, least=np.asarray(cv.lams)[0]
-    )
-    return cv
+
+    def of(order: int) -> CrossValidation:
+        problem, given = problem_and_lams(
+            source,
+            target,
+            x,
+            y,
+            lams,
+            weights=weights,
+            centres=centres,
+            degree=degree,
+            width=width,
+            graded=graded,
+            tension=tension,
+            order=order,
+        )
+        default = given is None
+        cv = choose(
+            LeaveOneOut(problem, linear_algebra, max_steps),
+            np.asarray(coarse_grid(problem)) if default else check_lams(given),
+            downwards,
+            refine=default,
+            progress=progress,
+        )
+        warn_where_coarse(
+            problem, cv.model.coefficients, cv.lam, least=np.asarray(cv.lams)[0]
+        )
+        return cv
+
+    return over_orders(order, source, target, lams, of)

@@ -108,44 +108,48 @@ def check_source(source: AbstractSource):
         )
 
 
+def least_order(source: AbstractSource) -> int:
+    """Of energies whose minimisers are continuous: 2 p > m."""
+    return source.sampled.dim // 2 + 1
+
+
+def highest_order(source: AbstractSource, target: AbstractManifold) -> int:
+    """To which the geodesics of both are known."""
+    if source.sampled is source and source.known_points() is not None:
+        return 2
+    curve = source.sampled is source and source.dim == 1
+    return 4 if curve and target.known_points() is None else 3
+
+
 def check_order(order: int, source: AbstractSource, target: AbstractManifold):
     """Of the energy of a regression."""
     check_known(order, source, target)
-    m, name = source.sampled.dim, type(source.sampled).__name__
-    least = m // 2 + 1
+    least, name = least_order(source), type(source.sampled).__name__
     if order < least:
-        cure = f"Take `order={least}`, or" if least <= _highest(source) else "Take"
+        allowed = least <= highest_order(source, target)
+        cure = f"Take `order={least}`, or" if allowed else "Take"
         raise ValueError(
-            f"order: {name} has dimension {m}, where energies of derivatives of order "
-            f"{order} have no minimisers: narrow spikes go through any data at no cost. "
-            f"{cure} fewer inputs, or manireg.baselines.nadaraya_watson."
+            f"order: {name} has dimension {source.sampled.dim}, where energies of "
+            f"derivatives of order {order} have no minimisers: narrow spikes go through "
+            f"any data at no cost. {cure} fewer inputs, or "
+            "manireg.baselines.nadaraya_watson."
         )
 
 
 def check_known(order: int, source: AbstractSource, target: AbstractManifold):
-    """Whether the geodesics of both are known to the order of an energy."""
+    """Whether an energy is defined."""
     check_source(source)
     check_target(target)
-    if order not in (1, 2, 3, 4):
+    if isinstance(order, bool) or order not in (1, 2, 3, 4):
         raise ValueError(f"order: expected 1, 2, 3 or 4, found {order!r}.")
-    name = type(source.sampled).__name__
-    if order > _highest(source):
+    highest = highest_order(source, target)
+    if order > highest:
+        names = type(source).__name__, type(target).__name__
         raise ValueError(
-            f"order: on {name} at most {_highest(source)}, found {order}. The fourth is "
-            "for curves; the geodesics of a scan are known to second order, so there take "
-            "2, or Ambient(source) for 3."
+            f"order: at most {highest} from {names[0]} to {names[1]}, found {order}. The "
+            "fourth is for curves, and for targets that are no scans; of scans as sources "
+            "only the curvature is known: take 2, or Ambient(source) for 3."
         )
-    if order > 3 and target.known_points() is not None:
-        raise ValueError(
-            f"order: for maps into a {type(target).__name__} at most 3, found {order}: "
-            "the fourth needs the derivative of its curvature, which a scan does not tell."
-        )
-
-
-def _highest(source: AbstractSource) -> int:
-    if source.sampled is source and source.known_points() is not None:
-        return 2
-    return 4 if source.sampled is source and source.dim == 1 else 3
 
 
 def check_landmarks(

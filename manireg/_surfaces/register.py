@@ -16,7 +16,7 @@ from .._objective.problem import make_problem, with_tension
 from .._programs.sizes import power_of_four
 from .._selection.choice import CrossValidation
 from .._selection.leave_one_out import leave_one_out
-from .._selection.scores import RTOL, cut_errors
+from .._selection.scores import RTOL
 from .._solver.model import RegressionMap, evaluate
 from .._solver.solve import solve
 from .._sources.sources import Ambient
@@ -195,4 +195,4 @@ def _predicted_error(cv: CrossValidation | None) -> float:
     """Of left-out landmarks; with nothing to choose, of no interest."""
     if cv is None:
         return 0.0
-    return float(cut_errors(np.asarray(cv.scores[:, cv.chosen])).mean())
+    return float(cv.criterion[cv.chosen])

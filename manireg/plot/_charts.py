@@ -4,7 +4,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ._figure import BLUE, ORANGE, STYLE, ArrayLike, figure, figure_of, matplotlib
+from ._figure import (
+    BLUE,
+    COLOURS,
+    ORANGE,
+    STYLE,
+    ArrayLike,
+    figure,
+    figure_of,
+    matplotlib,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,27 +24,48 @@ else:
 
 def cv_curve(cv: Any, *, ax: Axes | None = None) -> Figure:
     """Mean held-out score over the folds against lambda, with its standard error, and
-    the lambda chosen; `cv` as `cross_validate` returns it. Lambdas that it did not try
-    (score infinity) are left out."""
+    the lambda chosen; `cv` as `cross_validate` returns it. Where several orders were
+    tried, all of their paths, against the wavelength of lambda. Lambdas that were not
+    tried (score infinity) are left out."""
     with matplotlib().rc_context(STYLE):
-        lams, scores = np.asarray(cv.lams), np.asarray(cv.scores)
-        order = np.argsort(lams)
-        order = order[np.isfinite(scores[:, order]).all(0)]
-        lams, scores = lams[order], scores[:, order]
-        mean = scores.mean(0)
-        error = scores.std(0, ddof=1) / np.sqrt(len(scores))
         ax = figure(3.4, 2.3).add_subplot() if ax is None else ax
-        style = {"fmt": "o-", "ms": 3, "lw": 1, "elinewidth": 0.7, "capsize": 1.5}
-        ax.errorbar(lams, mean, error, color=BLUE, **style)
-        lam = float(cv.lam)
-        label = rf"$\lambda = {lam:.2g}$"
-        ax.axvline(lam, color=ORANGE, lw=1, ls="--", zorder=0, label=label)
-        ax.set(xscale="log", xlabel=r"$\lambda$", ylabel="mean held-out error")
-        if mean.max() > 10 * mean.min():
-            low = (mean - error)[mean > error].min()
-            ax.set(yscale="log", ylim=(low / 1.3, 1.3 * (mean + error).max()))
+        paths = cv.paths
+        if len(paths) == 1:
+            ends = [_score_curve(ax, cv, np.asarray(cv.lams), BLUE, None)]
+            chosen, label = float(cv.lam), rf"$\lambda = {float(cv.lam):.2g}$"
+            ax.set(xlabel=r"$\lambda$")
+        else:
+            ends = [
+                _score_curve(ax, path, np.asarray(path.wavelengths), colour, p)
+                for colour, (p, path) in zip(COLOURS, paths.items())
+            ]
+            chosen = float(cv.wavelengths[cv.chosen])
+            label = rf"order {cv.order}, $\lambda = {float(cv.lam):.2g}$"
+            ax.set(xlabel="wavelength")
+        lows, means, highs = zip(*ends)
+        low, most = min(lows), max(highs)
+        ax.axvline(chosen, color=ORANGE, lw=1, ls="--", zorder=0, label=label)
+        ax.set(xscale="log", ylabel="mean held-out error")
+        if most > 10 * min(means):
+            ax.set(yscale="log", ylim=(low / 1.3, 1.3 * most))
         ax.legend()
         return figure_of(ax)
+
+
+def _score_curve(
+    ax: Axes, cv: Any, at: np.ndarray, colour: str, order: int | None
+) -> tuple[float, float, float]:
+    """Drawn; the least end of a bar above 0, the least mean and the largest end."""
+    scores = np.asarray(cv.scores)
+    tried = np.isfinite(scores).all(0)
+    at, scores = at[tried], scores[:, tried]
+    mean = scores.mean(0)
+    error = scores.std(0, ddof=1) / np.sqrt(len(scores))
+    style = {"fmt": "o-", "ms": 3, "lw": 1, "elinewidth": 0.7, "capsize": 1.5}
+    label = None if order is None else f"order {order}"
+    ax.errorbar(at, mean, error, color=colour, label=label, **style)
+    positive = (mean - error)[mean > error]
+    return positive.min(initial=mean.min()), mean.min(), (mean + error).max()
 
 
 def coordinates(

@@ -32,6 +32,7 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
 }
 BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#7a7f85"  # Okabe & Ito
+COLOURS = BLUE, "#009E73", "#CC79A7", GREY  # of curves beside each other
 
 
 def matplotlib():

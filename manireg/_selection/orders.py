@@ -1,0 +1,55 @@
+"""Choice of the order of the energy: like that of lambda, by what is predicted best."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import equinox as eqx
+
+from .._input.numbers import Numbers
+from .._objective.problem import Problem
+from .._sources.checks import highest_order, least_order
+from .choice import CrossValidation
+
+Order = int | Sequence[int] | Literal["auto"]
+AUTO = 2, 3, 4  # those of them that the manifolds allow
+
+
+def over_orders(
+    order: Order,
+    source: Any,
+    target: Any,
+    lams: Numbers | None,
+    choose: Callable[[int], CrossValidation],
+) -> CrossValidation:
+    """`choose(order)`, of several that whose criterion is lowest where it is best, with
+    the `paths` of all."""
+    orders = orders_of(order, source, target)
+    if len(orders) == 1:
+        return choose(orders[0])
+    if lams is not None:
+        raise ValueError(
+            "lams: lambda has a unit of its own for each order; leave the grid out, or "
+            "give one order."
+        )
+    paths = {p: choose(p) for p in orders}
+    best = min(paths.values(), key=lambda cv: float(cv.criterion[cv.chosen]))
+    others = {p: path for p, path in paths.items() if p != best.order}
+    return eqx.tree_at(lambda cv: cv.others, best, others, is_leaf=_is_nothing)
+
+
+def orders_of(order: Order, source: Any, target: Any) -> tuple[int, ...]:
+    """Those to be tried, ascending."""
+    if isinstance(source, Problem) or isinstance(order, int):
+        return (order,)  # type: ignore[return-value]
+    if order == "auto":
+        least, highest = least_order(source), highest_order(source, target)
+        return tuple(p for p in AUTO if least <= p <= highest) or (least,)
+    if isinstance(order, str) or len(order) == 0:
+        raise ValueError(
+            f"order: expected 1, 2, 3, 4, several of these or 'auto', found {order!r}."
+        )
+    return tuple(sorted(set(order)))
+
+
+def _is_nothing(others: Any) -> bool:
+    return others == {}
