@@ -1,6 +1,7 @@
 """The manifold interface: what a target (or a source) has to be able to do."""
 
 import abc
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -8,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, ScalarLike
 
 from .._source import AbstractSource, Chart
+from ._defaults.covariant_derivative import covariant_derivative
 from ._membership import by_reach, check_on
 
 
@@ -86,6 +88,14 @@ class AbstractManifold(AbstractSource):
         r"""$|v|^2$ of vectors tangent at $\pi(p)$, shape `(...)`; here in that of the
         ambient space."""
         return jnp.sum(v**2, axis=tuple(range(-len(self.point_shape), 0)))
+
+    def covariant_derivative(
+        self, psi: Sequence[Float[Array, "..."]]
+    ) -> Float[Array, "..."]:
+        r"""$(D/ds)^{p-1} (\pi \circ \psi)'$ of a curve near N with the derivatives
+        $\psi, \psi', \dots, \psi^{(p)}$, single points; here by automatic
+        differentiation of both projections."""
+        return covariant_derivative(self.project, self.tangent_projection, psi)
 
     def nearest(self, p: Float[Array, "... s"]) -> Int[Array, "..."] | None:
         """Which of its patches are near ambient points, flattened; None: it has none."""

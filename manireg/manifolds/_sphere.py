@@ -1,11 +1,19 @@
 """The round sphere: the template to copy for a manifold with closed formulas."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
+from .._algebra.series import (
+    derivative_of_series,
+    inner_of_series,
+    inverse_root_of_series,
+    product_of_series,
+)
 from .._algebra.smooth import (
     across,
     cos_sinc,
@@ -91,6 +99,22 @@ class Sphere(AbstractManifold):
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Uniform on the sphere."""
         return self.project(jax.random.normal(key, (n, self.dim + 1)))
+
+    def covariant_derivative(
+        self, psi: Sequence[Float[Array, " s"]]
+    ) -> Float[Array, " s"]:
+        """By power series: half the time of automatic differentiation, for order four a
+        fifth."""
+        factorials = np.cumprod([1.0, *range(1, len(psi))])
+        psi = [v / n for v, n in zip([off_zero(psi[0]), *psi[1:]], factorials)]
+        length = inverse_root_of_series(inner_of_series(psi, psi))
+        gamma = [self.radius * v for v in product_of_series(length, psi)]
+        a = derivative_of_series(gamma)
+        for _ in range(len(psi) - 2):
+            a = derivative_of_series(a)
+            along = [inner / self.radius**2 for inner in inner_of_series(a, gamma)]
+            a = [v - w for v, w in zip(a, product_of_series(along, gamma))]
+        return a[0]
 
     def chart(self, around: np.ndarray | None) -> Chart | None:
         """The angle, of the circle."""

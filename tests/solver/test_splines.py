@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from curves import CENTRES, INTERVAL, TIMES, X, curve_problem, sphere_data
 from numpy.polynomial.legendre import legval
-from riemannian_cubics import geodesic, geodesic_regression, smoothing_cubic
+from riemannian_splines import geodesic, geodesic_regression, smoothing_spline
 from scipy.interpolate import BSpline, make_smoothing_spline
 from scipy.spatial.transform import Rotation
 
@@ -75,7 +75,7 @@ def sphere_problem():
 
 @pytest.mark.parametrize("lam", [3e-3, 1e-4])
 def test_sphere_curve_is_a_riemannian_cubic(sphere_problem, lam):
-    expected = smoothing_cubic(X, sphere_data(), lam, TIMES)
+    expected = smoothing_spline(X, sphere_data(), lam, TIMES)
     fitted = mr.solve(sphere_problem, lam)(TIMES)
     assert np.abs(fitted - expected).max() < 1e-6 * np.ptp(expected)
 
@@ -89,7 +89,7 @@ def rotation_fit():
 @pytest.mark.slow
 def test_rotation_curve_is_a_riemannian_cubic_of_quaternions(rotation_fit):
     """SO(3) is S^3 / {+-1} with a metric 8 times as large, so both have one minimiser."""
-    expected = smoothing_cubic(X, sphere_data(3), 3e-3, TIMES)
+    expected = smoothing_spline(X, sphere_data(3), 3e-3, TIMES)
     expected = Rotation.from_quat(expected).as_matrix()
     assert np.abs(rotation_fit[1] - expected).max() < 1e-6 * np.ptp(expected)
 

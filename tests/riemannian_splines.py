@@ -1,5 +1,5 @@
 """Regression of a curve on the unit sphere S^n without manireg: smoothing Riemannian
-cubics by multiple shooting, and geodesic regression. Numpy and scipy only."""
+cubics and quintics by multiple shooting, and geodesic regression. Numpy and scipy only."""
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -44,16 +44,27 @@ def geodesic_regression(x, y):
     return parts(fit.x)
 
 
+def curvature(x, y, z):
+    """R(x, y) z on the unit sphere."""
+    return inner(y, z) * x - inner(x, z) * y
+
+
 def _flow(state):
-    """g' = v, D_t v = a, D_t a = b, D_t b = -R(a, v) v = -(|v|^2 a - <a, v> v)."""
-    g, v, a, b = np.moveaxis(state, -2, 0)
-    av = inner(a, v)
-    rates = [v, a - inner(v, v) * g, b - av * g]
-    return np.stack([*rates, -(inner(v, v) * a - av * v) - inner(b, v) * g], axis=-2)
+    """Of (g, v, D_t v, D_t^2 v, ...), 2 p of them; for the last
+    D_t^3 v = -R(D_t v, v) v, or D_t^5 v = R(D_t^2 v, D_t v) v - R(D_t^3 v, v) v."""
+    g, v, *derivatives = np.moveaxis(state, -2, 0)
+    if len(derivatives) == 2:
+        last = -curvature(derivatives[0], v, v)
+    else:
+        last = curvature(*derivatives[1::-1], v) - curvature(derivatives[2], v, v)
+    rates = [
+        w - inner(u, v) * g for u, w in zip([v, *derivatives], [*derivatives, last])
+    ]
+    return np.stack([v, *rates], axis=-2)
 
 
 def _advance(states, lengths, fractions=(1.0,)):
-    """States (..., 4, n + 1) after these fractions of these lengths of time (...); all
+    """States (..., 2 p, n + 1) after these fractions of these lengths of time (...); all
     trajectories in one system."""
     lengths = lengths[..., None, None]
     solution = solve_ivp(
@@ -68,28 +79,31 @@ def _advance(states, lengths, fractions=(1.0,)):
     return solution.y.T.reshape(-1, *states.shape)
 
 
-def smoothing_cubic(x, y, lam, times):
+def smoothing_spline(x, y, lam, times, order=2):
     """Values at `times` of the curve g on [0, 1] that minimises
-    (1/k) sum d^2(y_i, g(x_i)) + lam int |D_t g'|^2 (mathematics.md 5.4): the flow above
-    between the knots x_i, where b jumps by Log_g(y_i) / (k lam); a = b = 0 at 0 and 1.
-    Newton from the geodesic regression, down in lambda."""
+    (1/k) sum d^2(y_i, g(x_i)) + lam int |D_t^{p-1} g'|^2, p the order, 2 or 3
+    (mathematics.md 5.4): the flow above between the knots x_i, where the last derivative
+    jumps by (-1)^p Log_g(y_i) / (k lam); the last p vanish at 0 and 1. Newton from the
+    geodesic regression, down in lambda."""
     k, d = y.shape
-    n = 4 * d
+    rows_of_state = 2 * order
+    n = rows_of_state * d
     edges = np.concatenate([[0.0], x, [1.0]])
     lengths = np.diff(edges)
     p, v = geodesic_regression(x, y)
     speed = np.linalg.norm(v)
     at = geodesic(p, v, edges[:-1])
     ahead = speed * geodesic(p, v, edges[:-1] + np.pi / 2 / speed)
-    states = np.stack([at, ahead, 0 * at, 0 * at], axis=1)
+    states = np.stack([at, ahead] + [0 * at] * (rows_of_state - 2), axis=1)
 
     def ends_of(states, lam):
         ends = _advance(states, np.broadcast_to(lengths, states.shape[:-2]))[-1]
-        ends[..., :-1, 3, :] += log(ends[..., :-1, 0, :], y) / (k * lam)
+        jump = (-1) ** order * log(ends[..., :-1, 0, :], y) / (k * lam)
+        ends[..., :-1, -1, :] += jump
         return ends
 
-    h, identity = 1e-6, np.eye(n)
-    nudges = h * identity.reshape(n, 1, 4, d)
+    h, identity, free = 1e-6, np.eye(n), order * d
+    nudges = h * identity.reshape(n, 1, rows_of_state, d)
     for stage in np.geomspace(max(1.0, lam), lam, 12):
         for _ in range(40):
             changed = ends_of(states + np.concatenate([nudges, -nudges]), stage)
@@ -100,10 +114,10 @@ def smoothing_cubic(x, y, lam, times):
             for i in range(k):  # the end of a segment is the start of the next
                 rows[i * n : (i + 1) * n, i * n : (i + 1) * n] = slopes[:, i].T
                 rows[i * n : (i + 1) * n, (i + 1) * n : (i + 2) * n] = -identity
-            rows[k * n : -2 - 2 * d, :n] = identity[2 * d :]
-            rows[-2 - 2 * d : -2, k * n :] = slopes[:, k, 2 * d :].T
+            rows[k * n : -2 - free, :n] = identity[free:]
+            rows[-2 - free : -2, k * n :] = slopes[:, k, free:].T
             rows[-2, :d], rows[-1, : 2 * d] = 2 * g, np.concatenate([v, g])
-            gaps = [ends[:-1] - states[1:], states[0, 2:], ends[-1, 2:]]
+            gaps = [ends[:-1] - states[1:], states[0, order:], ends[-1, order:]]
             gauge = np.array([g @ g - 1, g @ v])
             residual = np.concatenate([*(gap.ravel() for gap in gaps), gauge])
             step = np.linalg.lstsq(rows, -residual, rcond=None)[0].reshape(states.shape)

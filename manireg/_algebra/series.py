@@ -1,0 +1,37 @@
+"""Power series as lists of coefficients, of numbers or vectors, cut to the shorter one."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Series = Sequence[Float[Array, "..."]]
+
+
+def product_of_series(f: Series, g: Series) -> list[Array]:
+    """Of one of numbers and another."""
+    return [
+        sum(f[i] * g[k - i] for i in range(k + 1)) for k in range(min(len(f), len(g)))
+    ]
+
+
+def inner_of_series(f: Series, g: Series) -> list[Array]:
+    """Of two of vectors, their inner product."""
+    return [
+        sum(jnp.sum(f[i] * g[k - i]) for i in range(k + 1))
+        for k in range(min(len(f), len(g)))
+    ]
+
+
+def inverse_root_of_series(f: Series) -> list[Array]:
+    """g = 1 / sqrt(f) of a series of numbers with f(0) > 0, from 2 f g' = -f' g."""
+    g = [jax.lax.rsqrt(f[0])]
+    for k in range(1, len(f)):
+        terms = ((i / (2 * k) - 1) * f[i] * g[k - i] for i in range(1, k + 1))
+        g.append(sum(terms) * g[0] ** 2)
+    return g
+
+
+def derivative_of_series(f: Series) -> list[Array]:
+    return [k * f[k] for k in range(1, len(f))]
