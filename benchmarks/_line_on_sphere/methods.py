@@ -31,9 +31,22 @@ class Fit(NamedTuple):
 
 def eells(data: datasets.LineOnSphere, seed: int) -> Fit:
     """Nothing in it is random: the seed is not used."""
-    cv = mr.leave_one_out(
-        SOURCE, TARGET, data.x, data.y, centres=CENTRES, progress=False
-    )
+    return _left_out(data, TARGET, 2)
+
+
+def auto(data: datasets.LineOnSphere, seed: int) -> Fit:
+    return _left_out(data, TARGET, "auto")
+
+
+def quintic(data: datasets.LineOnSphere, seed: int) -> Fit:
+    """The order without the geometry: a smoothing spline in space, projected."""
+    fit = _left_out(data, mr.Euclidean(3), 3)
+    return fit._replace(predict=lambda t: TARGET.project(fit.predict(t)))
+
+
+def _left_out(data: datasets.LineOnSphere, target, order) -> Fit:
+    options = {"centres": CENTRES, "order": order, "progress": False}
+    cv = mr.leave_one_out(SOURCE, target, data.x, data.y, **options)
     if cv.model.result != optx.RESULTS.successful:  # as `mr.fit` would
         raise RuntimeError(f"no minimum at lambda {float(cv.lam):.3g}")
     return Fit(cv.model, float(cv.lam), cv)
@@ -78,7 +91,9 @@ def gaussian_process(data: datasets.LineOnSphere, seed: int) -> Fit:
 
 
 METHODS = {
+    "auto": auto,
     "eells": eells,
+    "quintic": quintic,
     "thin plate": thin_plate,
     "nadaraya-watson": nadaraya_watson,
     "gaussian process": gaussian_process,

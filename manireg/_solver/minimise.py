@@ -21,6 +21,8 @@ from .penalty_path import penalty_path
 ROUNDING = 32.0  # times what one rounding of every number in the residuals changes
 ROUNDS = 12  # Newton solves on a point cloud, each on the patches of the one before
 ROUND_STEPS = 4  # trial steps of each: more are lost when the patches change
+# Relative decrease that derivatives of order three and four still tell from rounding.
+HIGHER_RTOL = 1e-10
 PATCH_RTOL = 1e-3  # relative decrease of the objective at which each stops
 SETTLED = 1e-2  # share of patches that may still change at the end
 
@@ -65,8 +67,13 @@ def minimise(
     newton: Newton,
 ) -> Minimum:
     noise = ROUNDING * jnp.finfo(w0.dtype).eps * _residual_terms(problem, lam, w0)
+    rtol = newton.rtol
+    if problem.energy.order > 2:
+        rtol = jnp.maximum(rtol, HIGHER_RTOL)
     newton = eqx.tree_at(
-        lambda n: (n.atol, n.noise), newton, (newton.atol + noise**2, noise)
+        lambda n: (n.rtol, n.atol, n.noise),
+        newton,
+        (rtol, newton.atol + noise**2, noise),
     )
     stage = stage_of(problem, lam, gauge(problem), method, w0)
     if stage.patches is None:

@@ -73,7 +73,8 @@ def solve(
       the data, and followed up to `lam` from there. The lowest minimum is returned.
     - `warm`: coefficients of a map fitted on the same problem, as one more start.
     - `rtol`: relative decrease of the objective below which Newton stops; on a
-      `PointCloud` not less than 1e-3, as its patches are wrong by more.
+      `PointCloud` not less than 1e-3, as its patches are wrong by more, and for orders 3
+      and 4 not less than 1e-10, where rounding begins.
     - `max_steps`: trial steps allowed, at least 1. On a `PointCloud` those of all rounds,
       each on the patches of the one before; at most 12 rounds of 4. There a fit is
       `successful` if it met `rtol` and less than 1 % of the patches changed at the end.
