@@ -39,14 +39,14 @@ the ends), averaged over {reps} repetitions of inputs and noise, the same for al
 Ours choose lambda by leave-one-out, the default of `mr.fit`: the Eells energy, of order 2,
 and `order="auto"`, which tries order 3, too. The quintic smoothing spline is the same of
 order 3 in space, projected onto the sphere: the order without the geometry. Thin plate and
-Nadaraya-Watson choose lambda or bandwidth by 10-fold cross-validation with the same folds and the
-same score (mean geodesic error); the Gaussian process (scikit-learn: constant times RBF
+Nadaraya-Watson choose lambda or bandwidth by 10-fold cross-validation with the same folds
+and the same score (mean geodesic error); the Gaussian process (scikit-learn: constant times RBF
 plus white noise, three restarts) by marginal likelihood; thin plate and Gaussian process
 are projected onto the sphere.
 **Bold**: the lowest mean. Beside the others, a paired t-test against ours with the order
-chosen, at 5 %: `>` ours is significantly better, `<` significantly worse, `=` undecided; in
-brackets the p-value. Picture b has Eells' mean left-out errors as the rule sees them, the largest
-tenth cut to the ninth decile.
+chosen, at 5 %: `>` ours is significantly better, `<` significantly worse, `=` undecided;
+in brackets the p-value. Picture b has the mean left-out errors of ours as the rule sees
+them, the largest tenth cut to the ninth decile.
 """
 
 
@@ -123,7 +123,9 @@ def time_table(runs: Runs) -> list[str]:
         f"Median seconds of choice, fit and prediction ({machine}): with compilation / "
         "without.",
         "",
-        "| k | " + " | ".join(LABELS[m] for m in METHODS) + " | Eells / thin plate |",
+        "| k | "
+        + " | ".join(LABELS[m] for m in METHODS)
+        + " | order chosen / thin plate |",
         "|---" * (len(METHODS) + 2) + "|",
     ]
     for k in sorted({task.k for task in runs}):
@@ -134,7 +136,7 @@ def time_table(runs: Runs) -> list[str]:
             again = [float(r["warm_seconds"]) for r in rows if r["warm_seconds"]]
             warm[method] = np.median(again) if again else np.nan
             entries.append(f"{whole:.2g} / {warm[method]:.2g}")
-        entries.append(f"{warm['eells'] / warm['thin plate']:.0f}")
+        entries.append(f"{warm['auto'] / warm['thin plate']:.0f}")
         lines.append("| " + " | ".join(entries) + " |")
     return lines
 
@@ -178,10 +180,10 @@ def draw_fits(ax, convention: str, k: int, kappa: float):
 
 
 def draw_scores(ax, fits) -> None:
-    ours, spline = fits["eells"].selection, fits["thin plate"].selection
+    ours, spline = fits["auto"].selection, fits["thin plate"].selection
     cut = np.apply_along_axis(cut_errors, 0, np.asarray(ours.scores))
     for method, lams, scores in (
-        ("eells", ours.lams, cut),
+        ("auto", ours.lams, cut),
         ("thin plate", spline.lams, spline.scores),
     ):
         means = np.mean(scores, axis=0)

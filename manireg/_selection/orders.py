@@ -11,7 +11,11 @@ from .._sources.checks import highest_order, least_order
 from .choice import CrossValidation
 
 Order = int | Sequence[int] | Literal["auto"]
-AUTO = 2, 3, 4  # those of them that the manifolds allow
+# Those of them that the manifolds allow. On curves on spheres not of any benchmark (63,
+# noise of all sizes) the error is 1.11 times the least of any order and lambda (geometric
+# mean), of order 2 alone 1.22, of 3 alone 1.14; with 4, which costs as much as both,
+# 1.13.
+AUTO = 2, 3
 
 
 def over_orders(
