@@ -1,6 +1,7 @@
 """From scores to the lambda chosen: that of the lowest mean, on grids that grow until it
 lies inside, or between the values of coarse ones; and the result of every choice."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -50,7 +51,7 @@ class CrossValidation(eqx.Module):
     @property
     def paths(self) -> dict[int, "CrossValidation"]:
         """By order, ascending: of all that were tried the grids, scores and maps."""
-        own = eqx.tree_at(lambda cv: cv.others, self, {}, is_leaf=_is_paths)
+        own = dataclasses.replace(self, others={})
         return dict(sorted({**self.others, self.order: own}.items()))
 
     @property
@@ -117,10 +118,6 @@ def choose(
     arrays = jax.device_put((chosen, lams, scores, converged))
     about = jax.device_put((criterion, wavelengths))
     return CrossValidation(*arrays, model, *about, score.problem.energy.order)
-
-
-def _is_paths(value: Any) -> bool:
-    return isinstance(value, dict)
 
 
 def lowest(scores: Float[Array | np.ndarray, "folds n"]) -> int:

@@ -1,9 +1,8 @@
 """Choice of the order of the energy: like that of lambda, by what is predicted best."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
-
-import equinox as eqx
 
 from .._input.numbers import Numbers
 from .._objective.problem import Problem
@@ -38,7 +37,7 @@ def over_orders(
     paths = {p: choose(p) for p in orders}
     best = min(paths.values(), key=lambda cv: float(cv.criterion[cv.chosen]))
     others = {p: path for p, path in paths.items() if p != best.order}
-    return eqx.tree_at(lambda cv: cv.others, best, others, is_leaf=_is_nothing)
+    return dataclasses.replace(best, others=others)
 
 
 def orders_of(order: Order, source: Any, target: Any) -> tuple[int, ...]:
@@ -53,7 +52,3 @@ def orders_of(order: Order, source: Any, target: Any) -> tuple[int, ...]:
             f"order: expected 1, 2, 3, 4, several of these or 'auto', found {order!r}."
         )
     return tuple(sorted(set(order)))
-
-
-def _is_nothing(others: Any) -> bool:
-    return others == {}

@@ -94,8 +94,8 @@ class AbstractManifold(AbstractSource):
     ) -> Float[Array, "..."]:
         r"""$(D/ds)^{p-1} (\pi \circ \psi)'$ of a curve near N with the derivatives
         $\psi, \psi', \dots, \psi^{(p)}$, single points; here by automatic
-        differentiation of both projections."""
-        return covariant_derivative(self.project, self.tangent_projection, psi)
+        differentiation of the projection and the second fundamental form."""
+        return covariant_derivative(self, psi)
 
     def nearest(self, p: Float[Array, "... s"]) -> Int[Array, "..."] | None:
         """Which of its patches are near ambient points, flattened; None: it has none."""

@@ -1,6 +1,8 @@
 """Manifolds against their laws and against independent truth; the laws against
 manifolds that break them."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -26,6 +28,7 @@ from manireg.manifolds import (
     second_form_of_projection,
     shooting_log,
 )
+from manireg.manifolds._defaults.covariant_derivative import covariant_derivative
 
 SLOW = (  # to compile
     *("torus", "ellipsoid", "quartic", "curve"),
@@ -662,3 +665,47 @@ def test_level_sets_find_the_reach_of_the_sphere():
     sphere = LevelSet(lambda p: p @ p - 1.0, 3)
     np.testing.assert_allclose(sphere.reach, 1.0, atol=1e-9)
     np.testing.assert_allclose(sphere.injectivity_radius, np.pi, atol=1e-9)
+
+
+def moved(psi, s):
+    """Derivatives of the polynomial curve with derivatives `psi` at 0, at s."""
+    p = len(psi)
+    return [
+        sum(psi[k + i] * s**i / math.factorial(i) for i in range(p - k))
+        for k in range(p)
+    ]
+
+
+QUICK = ["sphere", "sphere3", "euclidean", "flat_torus", "spd"]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in MANIFOLDS],
+)
+def test_covariant_derivatives(name, key):
+    """Each order is the derivative of the one before, projected."""
+    manifold, h = MANIFOLDS[name], 1e-4
+    size = min(float(manifold.reach), 1.0)
+    p = manifold.random_points(key, 1)[0]
+    bend = jax.random.normal(jax.random.fold_in(key, 1), (4, *p.shape))
+    psi = [p + 0.05 * size * bend[0], *(0.5 * size * bend[1:])]
+    for order in (2, 3):
+        lower = lambda s, order=order: manifold.covariant_derivative(
+            moved(psi, s)[:order]
+        )
+        change = (lower(h) - lower(-h)) / (2 * h)
+        expected = manifold.tangent_projection(manifold.project(psi[0]), change)
+        found = manifold.covariant_derivative(psi[: order + 1])
+        scale = jnp.linalg.norm(expected) + size
+        assert jnp.linalg.norm(found - expected) < 1e-5 * scale
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_series_of_the_sphere(order, key):
+    """Against automatic differentiation."""
+    sphere = Sphere(3, 1.7)
+    psi = list(jax.random.normal(key, (order + 1, 4)))
+    found = sphere.covariant_derivative(psi)
+    expected = covariant_derivative(sphere, psi)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)

@@ -1,28 +1,29 @@
 r"""Covariant derivatives of a curve $\gamma = \pi \circ \psi$ by automatic differentiation
-of $a_1 = \gamma'$, $a_{j+1} = P(\gamma)\, a_j'$, functions of the derivatives of psi."""
+of the formula of Gauss, $a_{j+1} = a_j' - II(\gamma', a_j)$ with $a_1 = \gamma'$."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 from jaxtyping import Array, Float
 
 
 def covariant_derivative(
-    project: Callable[[Array], Array],
-    tangent: Callable[[Array, Array], Array],
-    psi: Sequence[Float[Array, "..."]],
+    manifold: Any, psi: Sequence[Float[Array, "..."]]
 ) -> Float[Array, "..."]:
-    r"""$(D/ds)^{p-1} \gamma'$ from $\psi, \psi', \dots, \psi^{(p)}$.
-
-    **Arguments:** `project` the closest point projection, `tangent(p, v)` that of vectors.
-    """
+    r"""$(D/ds)^{p-1} \gamma'$ from $\psi, \psi', \dots, \psi^{(p)}$, by the projections
+    and the second fundamental form of a manifold."""
     p = len(psi) - 1
+    gamma = _image(manifold.project, p)(*psi)
     if p == 1:
-        return tangent(psi[0], psi[1])
-    derivative = lambda y, *rows: tangent(y, rows[1])
+        return gamma[1]
+    if p == 2:
+        return manifold.tangent_projection(psi[0], gamma[2])
+    form = manifold.second_fundamental_form
+    derivative = lambda y, dy, ddy: ddy - form(y, dy, dy)
     for _ in range(p - 2):
-        derivative = _covariant(tangent, derivative)
-    return derivative(*_image(project, p)(*psi))
+        derivative = _covariant(form, derivative)
+    return derivative(*gamma)
 
 
 def _image(f: Callable, order: int) -> Callable:
@@ -38,10 +39,11 @@ def _image(f: Callable, order: int) -> Callable:
     return image
 
 
-def _covariant(tangent: Callable, f: Callable) -> Callable:
-    """P(y) df/ds of f(y, y', ...) along a curve."""
+def _covariant(form: Callable, f: Callable) -> Callable:
+    """Of a tangent vector f(y, y', ...) along a curve."""
 
     def derivative(*rows):
-        return tangent(rows[0], jax.jvp(f, rows[:-1], rows[1:])[1])
+        vector, change = jax.jvp(f, rows[:-1], rows[1:])
+        return change - form(rows[0], rows[1], vector)
 
     return derivative
