@@ -37,7 +37,7 @@ NOTES = """\
 Geodesic errors in radians on 2001 equidistant points of [0, 1] (so with extrapolation to
 the ends), averaged over {reps} repetitions of inputs and noise, the same for all methods.
 Ours choose lambda by leave-one-out, the default of `mr.fit`: the Eells energy, of order
-2, and `order="auto"`, which tries order 3, too. The quintic smoothing spline is the same
+2, and `order="auto"`, which tries 3 and 4, too. The quintic smoothing spline is the same
 of order 3 in space, projected onto the sphere: the order without the geometry. Thin plate
 and Nadaraya-Watson choose lambda or bandwidth by 10-fold cross-validation with the same
 folds and the same score (mean geodesic error); the Gaussian process (scikit-learn:

@@ -59,7 +59,7 @@ def leave_one_out(
       range of `lambda_grid`, from wavelengths of half a spacing of the centres, in steps
       of at most a factor of 8, and one more, where the parabola through the lowest mean
       and its neighbours has its vertex.
-    - `order`: of the energy, or several to choose from, `(2, 3, 4)`; `"auto"` is (2, 3) as
+    - `order`: of the energy, or several to choose from, `(2, 3)`; `"auto"` is (2, 3, 4) as
       far as source and target allow. Each has a path of its own; the one whose criterion
       is lowest is returned, with all in `paths`.
     - `linear_algebra`, `max_steps`: as in `solve`.

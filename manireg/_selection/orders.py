@@ -10,11 +10,10 @@ from .._sources.checks import highest_order, least_order
 from .choice import CrossValidation
 
 Order = int | Sequence[int] | Literal["auto"]
-# Those of them that the manifolds allow. On curves on spheres not of any benchmark (63,
-# noise of all sizes) the error is 1.11 times the least of any order and lambda (geometric
-# mean), of order 2 alone 1.22, of 3 alone 1.14; with 4, which costs as much as both,
-# 1.13.
-AUTO = 2, 3
+# Those of them that the manifolds allow. Of curves on spheres that are in no benchmark (72,
+# noise of all sizes) the error is 1.13 times the least of any order and lambda (geometric
+# mean), of order 2 alone 1.22, of 3 alone 1.15, of 4 alone 1.32, of 2 and 3 1.12.
+AUTO = 2, 3, 4
 
 
 def over_orders(
