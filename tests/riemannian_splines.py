@@ -56,7 +56,8 @@ def _flow(state):
     if len(derivatives) == 2:
         last = -curvature(derivatives[0], v, v)
     else:
-        last = curvature(*derivatives[1::-1], v) - curvature(derivatives[2], v, v)
+        a, b, c = derivatives[:3]
+        last = curvature(b, a, v) - curvature(c, v, v)
     rates = [
         w - inner(u, v) * g for u, w in zip([v, *derivatives], [*derivatives, last])
     ]

@@ -1,6 +1,7 @@
 """Power series as lists of coefficients, of numbers or vectors, cut to the shorter one."""
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -11,17 +12,18 @@ Series = Sequence[Float[Array, "..."]]
 
 def product_of_series(f: Series, g: Series) -> list[Array]:
     """Of one of numbers and another."""
-    return [
-        sum(f[i] * g[k - i] for i in range(k + 1)) for k in range(min(len(f), len(g)))
-    ]
+    return _cauchy(lambda a, b: a * b, f, g)
 
 
 def inner_of_series(f: Series, g: Series) -> list[Array]:
     """Of two of vectors, their inner product."""
-    return [
-        sum(jnp.sum(f[i] * g[k - i]) for i in range(k + 1))
-        for k in range(min(len(f), len(g)))
-    ]
+    return _cauchy(lambda a, b: jnp.sum(a * b), f, g)
+
+
+def _cauchy(product: Callable, f: Series, g: Series) -> list[Array]:
+    orders = range(min(len(f), len(g)))
+    terms = [[product(f[i], g[k - i]) for i in range(k + 1)] for k in orders]
+    return [functools.reduce(jnp.add, own) for own in terms]
 
 
 def inverse_root_of_series(f: Series) -> list[Array]:

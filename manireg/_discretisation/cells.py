@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from .._programs.sizes import at_each, bucket
 from .._source import Atlas
-from .quadrature import Sample, to_second_order
+from .quadrature import Sample, in_charts, to_second_order
 
 Spacing = Callable[[Float[np.ndarray, "n s"]], Float[np.ndarray, " n"]]
 FINER = 4  # cells a spacing that it is integrated over

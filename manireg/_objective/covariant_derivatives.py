@@ -39,6 +39,6 @@ def along_curve(
     return near.covariant_derivative(points).ravel()
 
 
-def roots(m: int, order: int) -> Float[np.ndarray, "R 1"]:
+def roots(m: int, order: int) -> Float[Array, "R 1"]:
     """What components are multiplied with to be those of an orthonormal basis."""
-    return np.sqrt(multiplicities(m, order))[:, None]
+    return jnp.asarray(np.sqrt(multiplicities(m, order)))[:, None]

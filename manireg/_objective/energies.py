@@ -2,7 +2,7 @@
 
 import abc
 import math
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -36,11 +36,16 @@ class AbstractEnergy(AbstractTerm):
     `order`, times lambda, whose unit is a length to the power of `2 order - m`."""
 
     place = "quadrature"
-    order: eqx.AbstractVar[int]
-    gauge: eqx.AbstractVar[float]
+    gauge: ClassVar[float]
     """gamma vol(M) of solves in one stage."""
     on_target: ClassVar[bool]
     """Whether it is that of a map into N: then Newton starts on N."""
+
+    if TYPE_CHECKING:
+        # a type checker would take an `AbstractVar` for an argument of the constructor
+        order: Any
+    else:
+        order: eqx.AbstractVar[int]
 
     @property
     def name(self) -> str:

@@ -197,8 +197,8 @@ def make_problem(
     )
     basis = local_polynomials(nodes, width * spacing, degree, domain)
     if m == 1:
-        order = band_order(np.asarray(basis.centres), np.asarray(basis.widths))
-        basis = jax.tree.map(lambda a: jax.device_put(np.asarray(a)[order]), basis)
+        along = band_order(np.asarray(basis.centres), np.asarray(basis.widths))
+        basis = jax.tree.map(lambda a: jax.device_put(np.asarray(a)[along]), basis)
     return assemble_problem(
         source, target, basis, domain, x, y, weights, energy, terms, data_volume
     )

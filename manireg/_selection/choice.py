@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._input.precision import as_scalar
 from .._objective.arguments import on_host
+from .._objective.problem import Problem
 from .._objective.wavelengths import wavelength_of_lambda
 from .._solver.model import RegressionMap
 from .path import Leg, follow
@@ -71,6 +72,7 @@ class CrossValidation(eqx.Module):
 
 
 def choose(
+    problem: Problem,
     score: AbstractScore,
     grid: Float[np.ndarray, " n"],
     plan: Callable[[Sequence[float]], Sequence[Leg]],
@@ -113,11 +115,21 @@ def choose(
         fits[lam] for lam in lams[max(best - 1, 0) : best + 1].tolist() if lam in fits
     ]
     model = score.model(as_scalar(lams[best]), near)
-    wavelengths = wavelength_of_lambda(on_host(score.problem), lams)
+    wavelengths = wavelength_of_lambda(on_host(problem), lams)
     chosen, criterion = lams[best], np.mean(np.asarray(results[0]), axis=0)
-    arrays = jax.device_put((chosen, lams, scores, converged))
-    about = jax.device_put((criterion, wavelengths))
-    return CrossValidation(*arrays, model, *about, score.problem.energy.order)
+    chosen, lams, criterion, wavelengths = jax.device_put(
+        (chosen, lams, criterion, wavelengths)
+    )
+    return CrossValidation(
+        lam=chosen,
+        lams=lams,
+        scores=scores,
+        converged=converged,
+        model=model,
+        criterion=criterion,
+        wavelengths=wavelengths,
+        order=problem.energy.order,
+    )
 
 
 def lowest(scores: Float[Array | np.ndarray, "folds n"]) -> int:

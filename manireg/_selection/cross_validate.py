@@ -90,6 +90,7 @@ def cross_validate(
         grid = np.asarray(lambda_grid(problem)) if default else check_lams(given)
         middle = float(anchor(on_host(problem)))
         return choose(
+            problem,
             KFold(problem, training, linear_algebra, max_steps),
             grid,
             lambda lams: up_and_down(lams, middle, to_the_end=not default),

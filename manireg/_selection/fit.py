@@ -71,6 +71,11 @@ def fit(
         )
     if folds is not None and lam is not None:
         raise ValueError("folds: there is nothing to choose where `lam` is given.")
+    if lam is not None and not isinstance(order, int):
+        raise ValueError(
+            f"order: give one where `lam` is given, found {order!r}; lambda has a unit of "
+            "its own for each."
+        )
     if lam is None and folds is not None:
         options["folds"] = folds
         return cross_validate(source, target, x, y, **data, **options).model

@@ -93,6 +93,7 @@ def leave_one_out(
         )
         default = given is None
         cv = choose(
+            problem,
             LeaveOneOut(problem, linear_algebra, max_steps),
             np.asarray(coarse_grid(problem)) if default else check_lams(given),
             downwards,

@@ -53,8 +53,6 @@ class Fit(NamedTuple):
 class AbstractScore(eqx.Module):
     """Fits along a path, and their errors on data left out."""
 
-    problem: eqx.AbstractVar[Problem]
-
     @abstractmethod
     def start(self, lam: Float[Array, ""]) -> PyTree:
         """A place from which to fit at `lam`, with no other fit to go on from."""

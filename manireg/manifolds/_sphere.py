@@ -1,5 +1,6 @@
 """The round sphere: the template to copy for a manifold with closed formulas."""
 
+import math
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -105,10 +106,10 @@ class Sphere(AbstractManifold):
     ) -> Float[Array, " s"]:
         """By power series: half the time of automatic differentiation, for order four a
         fifth."""
-        factorials = np.cumprod([1.0, *range(1, len(psi))])
-        psi = [v / n for v, n in zip([off_zero(psi[0]), *psi[1:]], factorials)]
+        psi = [off_zero(psi[0]), *psi[1:]]
+        psi = [v / math.factorial(k) for k, v in enumerate(psi)]
         length = inverse_root_of_series(inner_of_series(psi, psi))
-        gamma = [self.radius * v for v in product_of_series(length, psi)]
+        gamma = [jnp.multiply(self.radius, v) for v in product_of_series(length, psi)]
         a = derivative_of_series(gamma)
         for _ in range(len(psi) - 2):
             a = derivative_of_series(a)

@@ -24,13 +24,13 @@ else:
 
 def cv_curve(cv: Any, *, ax: Axes | None = None) -> Figure:
     """Mean held-out score over the folds against lambda, with its standard error, and
-    the lambda chosen; `cv` as `cross_validate` returns it. Where several orders were
-    tried, all of their paths, against the wavelength of lambda. Lambdas that were not
-    tried (score infinity) are left out."""
+    the lambda chosen; `cv` as `cross_validate` returns it, or a baseline. Where several
+    orders were tried, all of their paths, against the wavelength of lambda. Lambdas that
+    were not tried (score infinity) are left out."""
     with matplotlib().rc_context(STYLE):
         ax = figure(3.4, 2.3).add_subplot() if ax is None else ax
-        paths = cv.paths
-        if len(paths) == 1:
+        paths = getattr(cv, "paths", {})
+        if len(paths) < 2:
             ends = [_score_curve(ax, cv, np.asarray(cv.lams), BLUE, None)]
             chosen, label = float(cv.lam), rf"$\lambda = {float(cv.lam):.2g}$"
             ax.set(xlabel=r"$\lambda$")
@@ -56,8 +56,8 @@ def _score_curve(
     ax: Axes, cv: Any, at: np.ndarray, colour: str, order: int | None
 ) -> tuple[float, float, float]:
     """Drawn; the least end of a bar above 0, the least mean and the largest end."""
-    scores = np.asarray(cv.scores)
-    tried = np.isfinite(scores).all(0)
+    scores, ascending = np.asarray(cv.scores), np.argsort(at)
+    tried = ascending[np.isfinite(scores[:, ascending]).all(0)]
     at, scores = at[tried], scores[:, tried]
     mean = scores.mean(0)
     error = scores.std(0, ddof=1) / np.sqrt(len(scores))

@@ -71,6 +71,22 @@ def test_demo(tmp_path):
     assert imread(out).shape[1] > 800
 
 
+@pytest.mark.parametrize(
+    "order, words",
+    [
+        ("3", "energy of order 3"),
+        ("x", "--order is"),
+        ("7", "order: expected 1, 2, 3 or 4"),
+    ],
+)
+def test_order(sphere_csv, tmp_path, order, words):
+    asked = "fit", sphere_csv, "--target", "sphere", "--input", "age"
+    wanted = "--output", "x,y,z", "--out", tmp_path / "out.csv", "--lam", 0.1
+    result = run(*asked, *wanted, "--order", order)
+    assert (result.exit_code == 0) == (order == "3")
+    assert words in " ".join(result.output.split())
+
+
 def test_sphere_geodesic_is_reproduced(fit, sphere_csv, tmp_path):
     """A great circle has no Eells energy, so any lambda gives it back."""
     picture = tmp_path / "fit.pdf"

@@ -40,7 +40,7 @@ def followed(source, x, n=400, finer=False):
     x = jnp.asarray(x, float).reshape(len(x), -1)
     spacing = spacing_for(source, x)
     assert spacing is not None
-    found = follow(source, spacing, n, x, finer)
+    found = follow(source, spacing, n, x, finer, order=2)
     assert found is not None
     return found
 

@@ -119,6 +119,22 @@ def test_cv_curve():
     assert axes.get_legend().get_texts()[0].get_text() == r"$\lambda = 0.01$"
 
 
+def test_cv_curve_of_several_orders():
+    """Over wavelength, the one chosen marked."""
+    lams, scores = np.array([0.01, 0.1, 1.0]), np.array([[3.0, 1.0, 2.0]] * 2)
+    path = SimpleNamespace(lams=lams, scores=scores, wavelengths=lams ** (1 / 4))
+    cv = SimpleNamespace(
+        **vars(path), lam=0.1, chosen=1, order=3, paths={2: path, 3: path}
+    )
+    (axes,) = plot.cv_curve(cv).axes  # type: ignore[attr-defined]
+    for container in axes.containers:
+        np.testing.assert_allclose(container[0].get_xdata(), path.wavelengths)
+    legend: Any = axes.get_legend()
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert labels == [r"order 3, $\lambda = 0.1$", "order 2", "order 3"]
+    assert axes.get_xlabel() == "wavelength"
+
+
 def test_cv_curve_leaves_out_what_was_not_tried():
     lams = np.array([0.01, 0.1, 1.0, 10.0])
     scores = np.array([[1.0, 2.0, 31.0, np.inf], [1.0, 3.0, 33.0, np.inf]])

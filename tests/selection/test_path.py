@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from curves import curve_problem, sphere_data
 
+import manireg as mr
 from manireg._selection.choice import choose
 from manireg._selection.path import Leg, downwards, follow, up_and_down
 from manireg._selection.scores import AbstractScore, Fit
@@ -88,8 +90,9 @@ class Chosen(Distance):
 def chosen(best, **options):
     """The lambda, and those visited beside the grid."""
     score = Chosen(best, [])
+    problem = curve_problem(mr.Euclidean(2), sphere_data()[:, :2])
     with pytest.raises(Found) as found:
-        choose(score, np.array(GRID), downwards, progress=False, **options)
+        choose(problem, score, np.array(GRID), downwards, progress=False, **options)
     return found.value.args[0], [lam for lam, _ in score.visits if lam not in GRID]
 
 

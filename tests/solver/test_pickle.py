@@ -48,9 +48,9 @@ def fitted():
     """A problem, a map into a point cloud, the choice of a lambda, a registration."""
     problem = mr.make_problem(mr.Interval(0, 1), CIRCLE, X, Y, centres=8)
     model = mr.solve(problem, 1e-3, throw=False)
-    cv = mr.CrossValidation(
-        model.lam, model.lam[None], jnp.ones((2, 1)), jnp.ones((2, 1), bool), model
-    )
+    lams, one = model.lam[None], jnp.ones(1)
+    scores, converged = jnp.ones((2, 1)), jnp.ones((2, 1), bool)
+    cv = mr.CrossValidation(model.lam, lams, scores, converged, model, one, one, 2)
     vertices, faces = np.asarray(BALL.vertices), np.asarray(BALL.faces)
     found = mr.Registration(vertices, model, cv, np.ones(5), vertices, faces)
     return {"problem": problem, "model": model, "cv": cv, "found": found}
