@@ -43,7 +43,7 @@ class AbstractEnergy(AbstractTerm):
 
     if TYPE_CHECKING:
         # a type checker would take an `AbstractVar` for an argument of the constructor
-        order: Any
+        order: ClassVar[Any]
     else:
         order: eqx.AbstractVar[int]
 

@@ -62,7 +62,7 @@ def cross_validate(
     - `key`: for the random folds, default `jax.random.key(0)`.
     - `order`: of the energy, or several to choose from, `(2, 3)`; `"auto"` is (2, 3, 4) as
       far as source and target allow. Each has a path of its own; the one whose criterion
-      is lowest is returned, with all in `paths`.
+      is lowest is returned (of those that ended in a minimum), with all in `paths`.
     - `linear_algebra`, `max_steps`: as in `solve`; the steps are those of a fold's fit.
     - `progress`: show a progress bar.
 

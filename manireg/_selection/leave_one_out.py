@@ -61,7 +61,7 @@ def leave_one_out(
       and its neighbours has its vertex.
     - `order`: of the energy, or several to choose from, `(2, 3)`; `"auto"` is (2, 3, 4) as
       far as source and target allow. Each has a path of its own; the one whose criterion
-      is lowest is returned, with all in `paths`.
+      is lowest is returned (of those that ended in a minimum), with all in `paths`.
     - `linear_algebra`, `max_steps`: as in `solve`.
     - `progress`: show a progress bar.
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from .._input.numbers import Numbers
 from .._objective.problem import Problem
+from .._solver.minimum import is_successful
 from .._sources.checks import highest_order, least_order
 from .choice import CrossValidation
 
@@ -24,8 +25,8 @@ def over_orders(
     lams: Numbers | None,
     choose: Callable[[int], CrossValidation],
 ) -> CrossValidation:
-    """`choose(order)`, of several that whose criterion is lowest where it is best, with
-    the `paths` of all."""
+    """`choose(order)`, of several that whose criterion is lowest where it is best - of
+    those whose map of all data is a minimum, if any is - with the `paths` of all."""
     orders = orders_of(order, source, target)
     if len(orders) == 1:
         return choose(orders[0])
@@ -35,7 +36,8 @@ def over_orders(
             "give one order."
         )
     paths = {p: choose(p) for p in orders}
-    best = min(paths.values(), key=lambda cv: float(cv.criterion[cv.chosen]))
+    minima = [cv for cv in paths.values() if is_successful(cv.model.result)]
+    best = min(minima or paths.values(), key=lambda cv: float(cv.criterion[cv.chosen]))
     others = {p: path for p, path in paths.items() if p != best.order}
     return dataclasses.replace(best, others=others)
 

@@ -240,10 +240,10 @@ def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
     return np.minimum(errors, np.quantile(errors, 0.9))
 
 
-_free = program(most=16)(free_solution)
+_free = program(most=8)(free_solution)
 
 
-@program(most=16)
+@program(most=8)
 def _projected(problem: Problem, lam, solvers):
     """On N: derivatives of a higher order of a map that leaves it are large."""
     return starts_of(problem, lam, (1.0,), "projected", solvers)[0][0]

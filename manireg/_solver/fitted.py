@@ -57,7 +57,7 @@ def scored_data(problem: Problem) -> Int[np.ndarray, " n"]:
     return np.sort(np.random.default_rng(0).choice(heavy, SCORED, replace=False))
 
 
-@program(most=16)
+@program(most=8)
 def _fitted(problem, lam, w, limits, scored, data, method, solvers) -> Any:
     rtol, max_steps, certify = limits
     newton = newton_minimiser(

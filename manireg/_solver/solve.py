@@ -179,7 +179,7 @@ def _one_by_one(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     return best.w, lam, best.energies, best.result, jax.device_put(best.stats)
 
 
-_starts = program(most=16)(starts_of)
+_starts = program(most=8)(starts_of)
 
 
 @eqx.filter_jit
