@@ -8,6 +8,7 @@ import numpy as np
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._objective.problem import Problem, make_problem
+from .._sources.checks import check_distinct, least_inputs
 from ..manifolds import AbstractManifold
 
 
@@ -26,7 +27,8 @@ def problem_and_lams(
                 f"{', '.join(missing)}: missing; give source, target, x and y, or a "
                 "`Problem` from `make_problem` alone."
             )
-        return make_problem(source, target, x, y, **options), lams
+        problem = make_problem(source, target, x, y, **options)
+        return checked(problem), lams
     check_x64(source)
     if lams is None and not isinstance(target, AbstractManifold):
         lams, data["target"] = target, None
@@ -39,4 +41,16 @@ def problem_and_lams(
             f"{', '.join(given)}: a `Problem` has these already; leave them out here, and "
             "give them to `make_problem`."
         )
-    return source, lams
+    return checked(source), lams
+
+
+def checked(problem: Problem) -> Problem:
+    """The problem, if any datum can be left out: of the least inputs that a fit takes all
+    are met, whatever lambda.
+
+    **Raises** ValueError."""
+    order = problem.energy.order
+    least = least_inputs(problem.source, order) + 1
+    data = problem.source, problem.x, problem.weights
+    check_distinct(*data, least, f"a choice of lambda at order {order}")
+    return problem

@@ -7,7 +7,7 @@ from typing import Any
 from .._input.numbers import Numbers
 from .._objective.problem import Problem
 from .._solver.minimum import is_successful
-from .._sources.checks import highest_order, least_order
+from .._sources.checks import TooFewInputs, highest_order, least_order
 from .choice import CrossValidation
 
 Order = int | Sequence[int] | str
@@ -35,7 +35,13 @@ def over_orders(
             "lams: lambda has a unit of its own for each order; leave the grid out, or "
             "give one order."
         )
-    paths = {p: choose(p) for p in orders}
+    paths: dict[int, CrossValidation] = {}
+    for p in orders:
+        try:
+            paths[p] = choose(p)
+        except TooFewInputs:
+            if order != "auto" or not paths:
+                raise
     minima = [cv for cv in paths.values() if is_successful(cv.model.result)]
     best = min(minima or paths.values(), key=lambda cv: float(cv.criterion[cv.chosen]))
     others = {p: path for p, path in paths.items() if p != best.order}

@@ -74,23 +74,35 @@ def check_data(
     x = check_points("x", source, x)
     y = check_points("y", target, y, count=len(x))
     weights = _checked_weights(weights, len(x))
-    m = source.dim
-    flat = source.linear or source.sampled is not source
-    # in flat spaces as many as there are polynomials of no energy
-    least = math.comb(order - 1 + m, m) if flat else m + 2
-    distinct = len(np.unique(x[weights > 0], axis=0))
-    if distinct < least:
-        of_weight = "" if np.all(weights > 0) else " of positive weight"
-        raise ValueError(
-            f"x: {distinct} distinct inputs{of_weight} are too few; a source of dimension "
-            f"{m} needs at least {least} for order {order}."
-        )
+    check_distinct(source, x, weights, least_inputs(source, order), f"order {order}")
     y = projected(target, y.reshape(-1, *target.point_shape))
     if text := target.doubt(np.asarray(y)):
         warnings.warn(f"y: {text}", stacklevel=3)
     # copies: the arrays of the user may change
     y = np.asarray(y).reshape(len(x), -1)
     return jax.device_put((np.array(x), np.array(y), np.array(weights)))
+
+
+def least_inputs(source: AbstractSource, order: int) -> int:
+    """Distinct ones; in flat spaces as many as there are polynomials of no energy."""
+    m = source.dim
+    flat = source.linear or source.sampled is not source
+    return math.comb(order - 1 + m, m) if flat else m + 2
+
+
+class TooFewInputs(ValueError):
+    """For an order, which another may not need."""
+
+
+def check_distinct(source: AbstractSource, x, weights, least: int, purpose: str):
+    heavy = np.asarray(weights) > 0
+    distinct = len(np.unique(np.asarray(x)[heavy], axis=0))
+    if distinct < least:
+        of_weight = "" if np.all(heavy) else " of positive weight"
+        raise TooFewInputs(
+            f"x: {distinct} distinct inputs{of_weight} are too few; a source of dimension "
+            f"{source.dim} needs at least {least} for {purpose}."
+        )
 
 
 def check_target(target: AbstractManifold):

@@ -20,7 +20,6 @@ from manireg._algebra.sparse import SparseSymmetric
 
 WORKER = Path(__file__).with_name("_two_devices.py")
 SOLVER = SparseCholesky()
-ENTRIES = PATTERN.rows, PATTERN.cols
 RIGHT = jnp.asarray(np.random.default_rng(1).normal(size=SIZES))
 
 
@@ -66,13 +65,8 @@ def test_covariances(solver, chunk, monkeypatch):
     matrix, rng = random_matrix(0), np.random.default_rng(0)
     near = np.array([[0, 1, -1], [2, 3, 5], [4, 5, 6]])
     values = rng.normal(size=(3, 4, 3, FUNCTIONS)) * (near >= 0)[:, None, :, None]
-    pairs = {(i, j): n for n, (i, j) in enumerate(zip(*map(np.asarray, ENTRIES)))}
-    places = [
-        [pairs.get((own[i], own[j]), len(pairs)) for i, j in zip(*np.triu_indices(3))]
-        for own in near
-    ]
     columns = (near[:, :, None] * FUNCTIONS + np.arange(FUNCTIONS)).reshape(3, -1)
-    elements = Elements(*map(jnp.asarray, (values, columns, 3, np.array(places))))
+    elements = Elements(*map(jnp.asarray, (values, columns, 3)))
     found = eqx.filter_jit(solver.covariances)(matrix, elements)
     whole = inverse(matrix).reshape(*SIZES, *SIZES)
     for e, own in enumerate(columns):

@@ -25,7 +25,7 @@ class Line(eqx.Module):
         return (x - self.source.a)[:, None]
 
     lam = jnp.asarray(0.1 + 0.2)
-    energies = types.SimpleNamespace(loss=0.0, eells=0.0, off_manifold=0.0)
+    energies = types.SimpleNamespace(loss=0.0, energy=0.0, off_manifold=0.0)
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def written(tmp_path, monkeypatch):
     """The lines of the predictions, and what was printed."""
     reached = {}
 
-    def fit(source, target, x, y, lam, weights=None):
+    def fit(source, target, x, y, lam, weights=None, order=2):
         reached["x"] = np.asarray(x)
         return Line(source)
 

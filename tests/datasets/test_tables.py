@@ -25,7 +25,7 @@ def reach(tmp_path, monkeypatch):
     """Runs `manireg fit` with latitude and longitude up to the fit: the result, whose
     exception is `Seen(source, target, x, y)` where the table was read."""
 
-    def fit(source, target, x, y, lam, weights=None):
+    def fit(source, target, x, y, lam, weights=None, order=2):
         raise Seen(source, target, x, y, weights)
 
     monkeypatch.setattr(mr, "fit", fit)

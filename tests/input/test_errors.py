@@ -40,7 +40,7 @@ def replaced(array, index, value):
         (X, replaced(Y, [2, 5], np.inf), "y: 2 of 9 points hold NaN .* index 2"),
         (X, 1.01 * Y, "y: 9 of 9 points lie off Sphere .*up to 0.01 away.*M.project"),
         (X + 0.5, Y, r"x: 4 of 9 points lie outside the interval \[0, 1\] .* widen it"),
-        (X[:2], Y[:2], "x: 2 distinct inputs are too few; .* needs at least 3"),
+        (X[:1], Y[:1], "x: 1 distinct inputs are too few; .* needs at least 2"),
         (0 * X, Y, "x: 1 distinct inputs are too few"),
         (X.astype(str), Y, "x: expected real numbers, found dtype <U"),
         (X, Y.astype(str), "y: expected real numbers, found dtype <U"),
@@ -92,14 +92,14 @@ def test_lambda_of_a_grid():
         (replaced(X, 4, -np.inf), "weights: must be positive.*first -inf at index 4"),
         (0 * X, "weights: their sum is 0; only ratios matter"),
         (
-            replaced(0 * X, [1, 2], 1.0),
-            "x: 2 distinct inputs of positive weight are too",
+            replaced(0 * X, [1], 1.0),
+            "x: 1 distinct inputs of positive weight are too",
         ),
         (replaced(X, 0, np.nan), "weights: must be positive"),
         (X[:4], r"weights: expected shape \(9,\), one for each pair, found \(4,\)"),
         (Z, r"weights: expected shape \(9,\), one for each pair, found \(9, 1\)"),
     ],
-    ids=["negative", "infinite", "all zero", "two left", "NaN", "length", "column"],
+    ids=["negative", "infinite", "all zero", "one left", "NaN", "length", "column"],
 )
 def test_weights(weights, message):
     with pytest.raises(ValueError, match=message):

@@ -185,9 +185,9 @@ def test_the_medial_axis_is_off():
         mr.Ambient(mr.SpecialOrthogonal(4)),
     ],
 )
-def test_no_minimiser_above_dimension_three(source):
+def test_no_minimiser_of_order_two_above_dimension_three(source):
     x = np.zeros((9, *source.point_shape))
     with pytest.raises(
-        ValueError, match=r"source: \w+ has dimension \d; .* to dimension 3"
+        ValueError, match=r"order: \w+ has dimension \d, .* of order 2 have no min"
     ):
         mr.make_problem(source, SPACE, x, np.zeros((9, 3)))

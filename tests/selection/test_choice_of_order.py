@@ -69,6 +69,21 @@ def test_orders_that_are_tried():
     assert orders_of([4, 2], INTERVAL, SPHERE) == (2, 4)
 
 
+def test_auto_leaves_out_orders_that_few_data_do_not_allow():
+    """Four can tell order 3, which has three polynomials of no energy, but not order 4."""
+    y = sphere_data()[:4]
+    cv = mr.leave_one_out(INTERVAL, SPHERE, X[:4], y, order="auto", progress=False)
+    assert [*cv.paths] == [2, 3]
+    with pytest.raises(
+        ValueError, match="at least 5 for a choice of lambda at order 4"
+    ):
+        mr.leave_one_out(INTERVAL, SPHERE, X[:4], y, order=4)
+    with pytest.raises(
+        ValueError, match="at least 3 for a choice of lambda at order 2"
+    ):
+        mr.cross_validate(INTERVAL, SPHERE, X[:2], y[:2], folds=2)
+
+
 def test_what_cannot_be_chosen():
     y = sphere_data()
     with pytest.raises(ValueError, match="lams: lambda has a unit of its own"):
