@@ -51,7 +51,7 @@ def profile(setup: Setup) -> Profile:
 
     where = setup.source, setup.centres, problem.x, setup.graded
     domain = discretise(*where)
-    parts = domain.points, domain.frames, domain.second_forms
+    parts = domain.geodesics(2), 2
     gradient = eqx.filter_jit(eqx.filter_value_and_grad(objective, has_aux=True))
     assembly, second = eqx.filter_jit(gauss_newton), eqx.filter_jit(exact)
 
