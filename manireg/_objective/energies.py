@@ -17,6 +17,9 @@ from ..manifolds import AbstractManifold
 from .covariant_derivatives import covariant_derivatives, roots
 from .terms import AbstractTerm, Jet
 
+# Degree and width by default. Above dimension three the middle of a cell of centres is
+# farther from them.
+BY_DIMENSION = (2, 2.5), (2, 2.2), (1, 1.5), (1, 2.0)
 THIN = 1e-2  # of the data's largest extent: across it the affine map is taken as 0
 
 
@@ -93,9 +96,8 @@ class IntrinsicEnergy(AbstractEnergy):
         return tuple(range(self.order + 1))
 
     def resolution(self, m: int) -> "Resolution":
-        return _resolution(
-            m, self.order, *((2, 2.5), (2, 2.2), (1, 1.5))[min(m, 3) - 1]
-        )
+        degree, width = BY_DIMENSION[min(m, len(BY_DIMENSION)) - 1]
+        return _resolution(m, self.order, degree, width)
 
     def penalised(self):
         return AmbientEnergy(self.order)

@@ -314,3 +314,12 @@ def test_what_a_source_and_a_target_allow():
         ValueError, match="method: 'penalty' is the paper's, for order 2"
     ):
         mr.solve(curve_problem(SPHERE, sphere_data(), order=3), 1.0, method="penalty")
+
+
+@pytest.mark.slow
+def test_quadratics_of_four_variables():
+    """Order 3 is the least there, and they have no energy of it."""
+    x = np.random.default_rng(0).random((120, 4))
+    y = x[:, :1] ** 2 + x[:, 1:2] * x[:, 2:3]
+    model = mr.fit(mr.Box([0] * 4, [1] * 4), LINE, x, y, 1e-6, order=3)
+    assert model.energies.loss < 1e-20 and model.energies.energy < 1e-16
