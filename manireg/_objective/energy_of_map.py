@@ -13,6 +13,7 @@ from .._input.precision import check_x64
 from .._source import AbstractSource
 from .._sources.checks import check_known
 from ..manifolds import AbstractManifold
+from ..manifolds._defaults.covariant_derivative import derivatives_along
 from ..manifolds._defaults.frames import tangent_frames
 from .covariant_derivatives import along_curve, roots
 
@@ -102,14 +103,8 @@ def _curves(geodesics: Float[Array, "J s"], m: int, order: int):
 
 def _derivatives(source, map, curve: Float[Array, "p s"]) -> list[Float[Array, " t"]]:
     """Of the map along a curve with these derivatives."""
-    factorials = np.cumprod([1.0, *range(1, len(curve))])
-    taylor = curve / factorials[:, None]
-    f = lambda s: _value(source, map, jnp.polyval(taylor[::-1], s))
-    derivatives = []
-    for _ in curve:
-        derivatives.append(f(jnp.zeros(())))
-        f = jax.jacfwd(f)
-    return derivatives
+    value = lambda x: _value(source, map, x)
+    return [*derivatives_along(value, len(curve) - 1)(*curve)]
 
 
 def _value(source, map, x: Float[Array, " s"]) -> Float[Array, " t"]:

@@ -29,6 +29,7 @@ def warn_where_coarse(
     w: Float[Array, "KC t"],
     lam: ScalarLike,
     least: ScalarLike | None = None,
+    above: int = 0,
 ) -> None:
     r"""A `ResolutionWarning` if the basis limits the fit with coefficients `w`:
 
@@ -46,7 +47,8 @@ def warn_where_coarse(
       small lambda, and near 1 where detail is averaged out), and the root mean square of
       what they share, $\sqrt c$ times that of r, above a hundredth of the data's spread.
 
-    Silent for traced problems or lambdas."""
+    Silent for traced problems or lambdas. `above`: calls between the function that asks
+    and the one that its user called; the warning names the user's line."""
     if not is_concrete(lam, w, problem.x, problem.y, problem.weights):
         return
     x, y, residuals = _distinct(problem, w)
@@ -69,7 +71,7 @@ def warn_where_coarse(
         f"up to {_rounded(centres * finer**m)} the data resolve; or a larger `lam` if "
         "that is meant.",
         ResolutionWarning,
-        stacklevel=3,
+        stacklevel=3 + above,
     )
 
 

@@ -12,7 +12,6 @@ from .._sources.checks import check_lams
 from ..manifolds import AbstractManifold
 from .choice import CrossValidation, choose
 from .folds import training_sets
-from .given import problem_and_lams
 from .lambda_grid import lambda_grid
 from .orders import Order, over_orders
 from .path import up_and_down
@@ -70,21 +69,7 @@ def cross_validate(
     `lams` and `folds` that are not as above.
     """
 
-    def of(order: int) -> CrossValidation:
-        problem, given = problem_and_lams(
-            source,
-            target,
-            x,
-            y,
-            lams,
-            weights=weights,
-            centres=centres,
-            degree=degree,
-            width=width,
-            graded=graded,
-            tension=tension,
-            order=order,
-        )
+    def of(problem: Problem, given: Numbers | None) -> CrossValidation:
         default = given is None
         training = training_sets(problem.weights, folds, key)
         grid = np.asarray(lambda_grid(problem)) if default else check_lams(given)
@@ -98,4 +83,18 @@ def cross_validate(
             progress=progress,
         )
 
-    return over_orders(order, source, target, lams, of)
+    return over_orders(
+        of,
+        source,
+        target,
+        x,
+        y,
+        lams,
+        order,
+        weights=weights,
+        centres=centres,
+        degree=degree,
+        width=width,
+        graded=graded,
+        tension=tension,
+    )

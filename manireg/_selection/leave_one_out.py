@@ -10,11 +10,12 @@ from .._source import AbstractSource
 from .._sources.checks import check_lams
 from ..manifolds import AbstractManifold
 from .choice import CrossValidation, choose
-from .given import problem_and_lams
 from .lambda_grid import coarse_grid
 from .orders import Order, over_orders
 from .path import downwards
 from .scores import LeaveOneOut
+
+CALLS = 3  # between the one of the user and a path of an order
 
 
 def leave_one_out(
@@ -76,21 +77,7 @@ def leave_one_out(
     of a grid that reaches below what the basis resolves.
     """
 
-    def of(order: int) -> CrossValidation:
-        problem, given = problem_and_lams(
-            source,
-            target,
-            x,
-            y,
-            lams,
-            weights=weights,
-            centres=centres,
-            degree=degree,
-            width=width,
-            graded=graded,
-            tension=tension,
-            order=order,
-        )
+    def of(problem: Problem, given: Numbers | None) -> CrossValidation:
         default = given is None
         cv = choose(
             problem,
@@ -101,8 +88,26 @@ def leave_one_out(
             progress=progress,
         )
         warn_where_coarse(
-            problem, cv.model.coefficients, cv.lam, least=np.asarray(cv.lams)[0]
+            problem,
+            cv.model.coefficients,
+            cv.lam,
+            least=np.asarray(cv.lams)[0],
+            above=CALLS,
         )
         return cv
 
-    return over_orders(order, source, target, lams, of)
+    return over_orders(
+        of,
+        source,
+        target,
+        x,
+        y,
+        lams,
+        order,
+        weights=weights,
+        centres=centres,
+        degree=degree,
+        width=width,
+        graded=graded,
+        tension=tension,
+    )

@@ -9,6 +9,7 @@ from .._objective.problem import Problem
 from .._solver.minimum import is_successful
 from .._sources.checks import TooFewInputs, highest_order, least_order
 from .choice import CrossValidation
+from .given import problem_and_lams
 
 Order = int | Sequence[int] | str
 # Those of them that the manifolds allow. Of 72 curves on the sphere, of no benchmark and
@@ -19,17 +20,25 @@ AUTO = 2, 3, 4
 
 
 def over_orders(
-    order: Order,
+    choose: Callable[[Problem, Numbers | None], CrossValidation],
     source: Any,
     target: Any,
+    x: Numbers,
+    y: Numbers,
     lams: Numbers | None,
-    choose: Callable[[int], CrossValidation],
+    order: Order,
+    **options: Any,
 ) -> CrossValidation:
-    """`choose(order)`, of several that whose criterion is lowest where it is best - of
-    those whose map of all data is a minimum, if any is - with the `paths` of all."""
+    """`choose(problem, lams)` of the problem of each order, made with these data and
+    options; of several that whose criterion is lowest where it is best - of those whose
+    map of all data is a minimum, if any is - with the `paths` of all."""
     orders = orders_of(order, source, target)
+
+    def path(p: int) -> CrossValidation:
+        return choose(*problem_and_lams(source, target, x, y, lams, order=p, **options))
+
     if len(orders) == 1:
-        return choose(orders[0])
+        return path(orders[0])
     if lams is not None:
         raise ValueError(
             "lams: lambda has a unit of its own for each order; leave the grid out, or "
@@ -38,13 +47,13 @@ def over_orders(
     paths: dict[int, CrossValidation] = {}
     for p in orders:
         try:
-            paths[p] = choose(p)
+            paths[p] = path(p)
         except TooFewInputs:
             if order != "auto" or not paths:
                 raise
     minima = [cv for cv in paths.values() if is_successful(cv.model.result)]
     best = min(minima or paths.values(), key=lambda cv: float(cv.criterion[cv.chosen]))
-    others = {p: path for p, path in paths.items() if p != best.order}
+    others = {p: cv for p, cv in paths.items() if p != best.order}
     return dataclasses.replace(best, others=others)
 
 

@@ -14,7 +14,7 @@ def covariant_derivative(
     r"""$(D/ds)^{p-1} \gamma'$ from $\psi, \psi', \dots, \psi^{(p)}$, by the projections
     and the second fundamental form of a manifold."""
     p = len(psi) - 1
-    gamma = _image(manifold.project, p)(*psi)
+    gamma = derivatives_along(manifold.project, p)(*psi)
     if p == 1:
         return gamma[1]
     if p == 2:
@@ -26,11 +26,11 @@ def covariant_derivative(
     return derivative(*gamma)
 
 
-def _image(f: Callable, order: int) -> Callable:
+def derivatives_along(f: Callable, order: int) -> Callable:
     """The derivatives of f o psi, up to that order, from those of psi."""
     if order == 0:
         return lambda psi: (f(psi),)
-    lower = _image(f, order - 1)
+    lower = derivatives_along(f, order - 1)
 
     def image(*psi):
         values, derivatives = jax.jvp(lower, psi[:-1], psi[1:])
