@@ -17,7 +17,7 @@ def test_line_on_sphere_resumes(tmp_path):
     subprocess.run([*command, *cell], check=True)
     before = file.read_text()
     rows = list(csv.DictReader(before.splitlines()))
-    assert len(rows) == 4 and all(0 < float(row["mean_error"]) < 2 for row in rows)
+    assert len(rows) == 6 and all(0 < float(row["mean_error"]) < 2 for row in rows)
     table = (tmp_path / "line_on_sphere.md").read_text()
     assert "| 20 | 1000 |" in table and "**" in table
     assert (tmp_path / "line_on_sphere_polar.png").stat().st_size > 10_000
