@@ -42,10 +42,11 @@ class AbstractPositive(AbstractDirect):
 
     @abc.abstractmethod
     def covariances(
-        self, operator: SparseSymmetric, elements: Elements
-    ) -> Float[Array, "e p t t"]:
+        self, operator: SparseSymmetric, elements: Elements, joint: bool = False
+    ) -> Float[Array, "..."]:
         """A H^{-1} A^T for the operator H, at each point with the values A that it has in
-        the unknowns: never a whole inverse."""
+        the unknowns, `(e, p, t, t)`: never a whole inverse. With `joint` of the points of
+        each element together, `(e, p, t, p, t)`."""
 
 
 class SparseCholesky(AbstractPositive):
@@ -74,10 +75,10 @@ class SparseCholesky(AbstractPositive):
         solution = sparsax.solve(i, j, values, _flat(scale, vector))
         return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
-    def covariances(self, operator, elements):
+    def covariances(self, operator, elements, joint=False):
         state = self.init(operator, {})
         solve = lambda sides: self.compute(state, sides, {})[0]
-        return from_solves(solve, operator.in_structure().shape, elements)
+        return from_solves(solve, operator.in_structure().shape, elements, joint)
 
 
 class BandCholesky(AbstractPositive):
@@ -102,7 +103,7 @@ class BandCholesky(AbstractPositive):
         solution = jnp.swapaxes(first_finite(solve, RIDGES, rhs)[0], 1, 2)
         return solution.reshape(vector.shape), lx.RESULTS.successful, {}
 
-    def covariances(self, operator, elements):
+    def covariances(self, operator, elements, joint=False):
         columns, size = self.init(operator, {})
         n, band, m, _ = columns.shape
         factors = first_finite(
@@ -110,7 +111,7 @@ class BandCholesky(AbstractPositive):
             RIDGES,
             jnp.zeros((n, band * m, band * m)),
         )[0]
-        return from_windows(factors, band, elements)
+        return from_windows(factors, band, elements, joint)
 
 
 def _ridged(columns: Float[Array, "n band m m"], size, ridge):
@@ -127,9 +128,9 @@ class DenseCholesky(AbstractPositive):
     def compute(self, state, vector, options):
         return self._solver(state)(vector), lx.RESULTS.successful, {}
 
-    def covariances(self, operator, elements):
+    def covariances(self, operator, elements, joint=False):
         solve = self._solver(self.init(operator, {}))
-        return from_solves(solve, operator.in_structure().shape, elements)
+        return from_solves(solve, operator.in_structure().shape, elements, joint)
 
     def _solver(self, state):
         matrix, scale = state

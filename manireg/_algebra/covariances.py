@@ -14,6 +14,9 @@ from .chunks import map_chunks
 CHUNK_BYTES = 32_000_000  # of blocks or right-hand sides at a time
 
 
+ALONE, JOINT = "par,pbr->pab", "par,qbr->paqb"  # of the points of an element
+
+
 class Elements(NamedTuple):
     """Points, p in each element, that share its L centres."""
 
@@ -26,8 +29,11 @@ class Elements(NamedTuple):
 
 
 def from_windows(
-    factors: Float[Array, "n size size"], band: int, elements: Elements
-) -> Float[Array, "e p t t"]:
+    factors: Float[Array, "n size size"],
+    band: int,
+    elements: Elements,
+    joint: bool = False,
+) -> Float[Array, "..."]:
     """By the factors of `window_factors` for the centres from the first of an element
     on."""
     f, size = elements.values.shape[3], factors.shape[1]
@@ -40,7 +46,7 @@ def from_windows(
         window = jnp.zeros((len(values), band, f)).at[:, place].add(values, mode="drop")
         factor = factors[first].reshape(size, band, f, -1)
         whole = jnp.einsum("rcfa,pcf->par", factor, window)
-        return jnp.einsum("par,pbr->pab", whole, whole)
+        return jnp.einsum(JOINT if joint else ALONE, whole, whole)
 
     every = jax.vmap(of_element)
     return map_chunks(
@@ -49,8 +55,11 @@ def from_windows(
 
 
 def from_solves(
-    solve: Callable[[Array], Array], shape: tuple[int, ...], elements: Elements
-) -> Float[Array, "e p t t"]:
+    solve: Callable[[Array], Array],
+    shape: tuple[int, ...],
+    elements: Elements,
+    joint: bool = False,
+) -> Float[Array, "..."]:
     """By right-hand sides `(*shape, n)`, some elements' at a time; `shape` is
     `(size, t)`."""
     size, t = shape
@@ -70,6 +79,8 @@ def from_solves(
         )
         found = solve(right.reshape(size, t, -1)).reshape(right.shape)
         found = found[places, :, owner]
+        if joint:
+            return jnp.einsum("epu,equab->epaqb", values, found)
         return jnp.einsum("epu,epuab->epab", values, found)
 
     arrays, largest = elements[:2], CHUNK_BYTES / (8 * size * t * p * t)

@@ -7,13 +7,18 @@ from jaxtyping import ArrayLike, PyTree
 
 from .._programs.sizes import data_bucket, filled
 from .._sources.checks import is_concrete
+from .noise import Precision
 from .problem import Problem
 
 
 def argument(problem: Problem) -> Problem:
     """The same without what programs do not read, filled up with data of weight 0, so
     that problems of similar size share them. Traced data stay as they are."""
-    problem = eqx.tree_at(lambda p: (p.source, p.x), problem, (None, None))
+    unread = lambda p: (p.source, p.x, p.noise, p.precision)
+    bare = Precision(problem.precision.relative, None)
+    problem = eqx.tree_at(
+        unread, problem, (None, None, None, bare), is_leaf=lambda a: a is None
+    )
     if not is_concrete(*jax.tree.leaves(problem)):
         return problem
     size = data_bucket(len(problem.y))
@@ -24,8 +29,10 @@ def argument(problem: Problem) -> Problem:
         (term, jax.tree.map(more, args) if term.place == "data" else args)
         for term, args in problem.terms
     ]
-    changed = more(problem.y), jax.device_put(weights), tuple(terms)
-    return eqx.tree_at(lambda p: (p.y, p.weights, p.terms), problem, changed)
+    relative = more(problem.precision.relative)
+    changed = more(problem.y), jax.device_put(weights), relative, tuple(terms)
+    where = lambda p: (p.y, p.weights, p.precision.relative, p.terms)
+    return eqx.tree_at(where, problem, changed)
 
 
 def of_data(array: ArrayLike, size: int) -> np.ndarray:

@@ -110,8 +110,10 @@ def point_hessians(
     )
 
 
-def _squared_jacobians(site: Site, stage: Stage) -> Callable:
-    def weighted(near, jet, arguments):
+def weighted_residuals(site: Site, stage: Stage) -> Callable:
+    """Of a point all terms', whose squared Jacobian is half of the model there."""
+
+    def of_point(near, jet, arguments):
         residuals = []
         for term, args in zip(site.terms, arguments, strict=True):
             weight = term.factor(stage.lam, stage.gamma)
@@ -119,6 +121,12 @@ def _squared_jacobians(site: Site, stage: Stage) -> Callable:
             r = term.residual(near, jet, args)
             residuals.append(jnp.sqrt(weight) * r.ravel())
         return jnp.concatenate(residuals)
+
+    return of_point
+
+
+def _squared_jacobians(site: Site, stage: Stage) -> Callable:
+    weighted = weighted_residuals(site, stage)
 
     def of_element(near, jets, arguments):
         values = lambda jets: at_points(site, weighted, near, jets, arguments)

@@ -24,6 +24,7 @@ from .._input.numbers import Numbers
 from .._input.precision import as_scalar, check_x64
 from .._source import AbstractSource
 from .._sources.checks import check_data, check_order, check_tension
+from .._sources.noise import Noise, check_noise
 from ..manifolds import AbstractManifold
 from .energies import (
     AbstractEnergy,
@@ -32,6 +33,9 @@ from .energies import (
     Tension,
     affine_derivative,
 )
+from .losses import AbstractMisfit
+from .noise import Precision, equal_precisions, misfit_of, precision_of
+from .robust import AbstractLoss, Squared, check_loss
 from .terms import AbstractTerm
 
 
@@ -56,6 +60,11 @@ class Problem(eqx.Module):
     x: Float[Array, "k s"]
     y: Float[Array, "k t"]
     weights: Float[Array, " k"]
+    precision: Precision
+    misfit: AbstractMisfit
+    """The data term."""
+    noise: Noise | None
+    """What is known of it, for inference."""
     origin: Float[Array, " t"]
     """Psi = origin + A w: data far from zero cost no digits."""
     pattern: SparsityPattern
@@ -101,6 +110,10 @@ def make_problem(
     y: Numbers,
     *,
     weights: Numbers | None = None,
+    sigma: Numbers | None = None,
+    precision: Numbers | None = None,
+    frames: Numbers | None = None,
+    loss: AbstractLoss | str = "squared",
     centres: int | None = None,
     degree: int | None = None,
     width: float | None = None,
@@ -180,6 +193,8 @@ def make_problem(
     check_order(order, source, target)
     check_tension(tension, source, order)
     x, y, weights = check_data(source, target, x, y, weights, order)
+    noise = check_noise(target, np.asarray(y), sigma, precision, frames)
+    loss = check_loss(loss).in_dimension(target.dim)
     m = source.sampled.dim
     if energy is None:
         energy = _default_energy(source, tension, order, x, y, weights)
@@ -200,7 +215,18 @@ def make_problem(
         along = band_order(np.asarray(basis.centres), np.asarray(basis.widths))
         basis = jax.tree.map(lambda a: jax.device_put(np.asarray(a)[along]), basis)
     return assemble_problem(
-        source, target, basis, domain, x, y, weights, energy, terms, data_volume
+        source,
+        target,
+        basis,
+        domain,
+        x,
+        y,
+        weights,
+        energy,
+        terms,
+        data_volume,
+        noise,
+        loss,
     )
 
 
@@ -257,11 +283,14 @@ def assemble_problem(
     energy: AbstractEnergy | None = None,
     terms: Sequence[AbstractTerm] = (),
     data_volume: ScalarLike | None = None,
+    noise: Noise | None = None,
+    loss: AbstractLoss = Squared(),
 ) -> Problem:
     """The same from a basis and a quadrature of your own; inputs are not checked."""
     if data_volume is None:
         data_volume = np.sum(np.asarray(domain.weights))
     energy = IntrinsicEnergy() if energy is None else energy
+    relative = equal_precisions(len(y)) if noise is None else precision_of(noise, weights)
     order = max(0, *energy.orders, *(o for term in terms for o in term.orders))
     geodesics = domain.geodesics(order)
     energy_jets = jets_of(basis, geodesics, order)
@@ -285,6 +314,9 @@ def assemble_problem(
         x=x,
         y=y,
         weights=weights,
+        precision=relative,
+        misfit=misfit_of(relative, loss),
+        noise=noise,
         origin=jax.device_put(share @ np.asarray(y)),
         pattern=pattern,
         energy_places=energy_places,

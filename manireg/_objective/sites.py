@@ -12,7 +12,7 @@ from .._discretisation.jets import Jets
 from .._discretisation.partial_derivatives import rows_of_order
 from ..manifolds import AbstractManifold
 from .energies import AbstractEnergy
-from .losses import GeodesicLoss, Pull
+from .losses import Pull
 from .patches import Patches
 from .problem import Problem, data_weights
 from .terms import AbstractTerm, jet_of
@@ -68,7 +68,8 @@ def sites(stage: Stage) -> tuple[Site, Site]:
     energy = stage.energy, problem.energy_arguments
     smooth = site("quadrature", *where, quadrature, energy, (Pull(), ()))
     where = problem.data_jets, problem.data_places, data_weights(problem)
-    fitted = site("data", *where, data, (GeodesicLoss(), problem.y))
+    misfit = problem.misfit, (problem.y, problem.precision.relative)
+    fitted = site("data", *where, data, misfit)
     return smooth, fitted
 
 

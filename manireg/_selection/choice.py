@@ -18,7 +18,6 @@ from .._solver.model import RegressionMap
 from .path import Leg, follow
 from .scores import AbstractScore, Fit
 
-NEXT_TO = 1e-2  # log of a factor of lambda that is not worth a fit
 WIDENINGS = 2  # times a default grid may be extended past an edge
 
 
@@ -40,7 +39,7 @@ class CrossValidation(eqx.Module):
     """Fitted to all data with `lam`."""
     criterion: Float[Array, " lams"]
     """What is lowest at `lam`: mean scores, those of `leave_one_out` with their largest
-    tenth cut to the ninth decile."""
+    tenth cut to the ninth decile, or another criterion that it was asked for."""
     wavelengths: Float[Array, " lams"]
     """Those at which each of `lams` damps a perturbation by a half (see `lambda_grid`):
     comparable between orders."""
@@ -82,7 +81,7 @@ def choose(
     progress: bool,
 ) -> CrossValidation:
     """Of the lambdas that `plan` visits in the grid, with `widen` past its edges, and with
-    `refine` one more, between the lowest and its neighbours."""
+    `refine` a few more around the lowest."""
     fits: dict[float, Fit] = {}
 
     def evaluate(grid):
@@ -96,17 +95,20 @@ def choose(
             None, np.full_like(one, np.inf), np.zeros(one.shape, bool), np.nan, None
         )
         columns = [fits.get(lam, untried) for lam in lams]
-        trimmed = [score.trimmed(fit.scores) for fit in columns]
-        scores = [fit.scores for fit in columns]
-        converged = [fit.converged for fit in columns]
-        return tuple(np.stack(a, axis=1) for a in (trimmed, scores, converged))
+        scores = np.stack([fit.scores for fit in columns], axis=1)
+        converged = np.stack([fit.converged for fit in columns], axis=1)
+        return score.judged(lams, columns), scores, converged
 
     lams, results, best = evaluated(grid, evaluate, widen)
     lams = np.asarray(lams)
-    if refine and (middle := _vertex(lams, results[0], best)) is not None:
-        lowest_yet = Leg([middle], after=float(lams[best]))
-        fits.update(follow(score, [lowest_yet], fits, progress=False))
-        lams = np.sort(np.append(lams, middle))
+    for _ in range(score.refinements if refine else 0):
+        tried = [fits[lam] for lam in lams.tolist()]
+        lam = score.better(lams.tolist(), tried)
+        if lam is None:
+            break
+        nearest = Leg([lam], after=float(lams[best]))
+        fits.update(follow(score, [nearest], fits, progress=False))
+        lams = np.sort(np.append(lams, lam))
         results = gathered(lams.tolist())
         best = lowest(results[0])
     scores, converged = jax.device_put(results[1:])
@@ -141,20 +143,6 @@ def lowest(scores: Float[Array | np.ndarray, "folds n"]) -> int:
             "of the data, or give a grid of your own, or a value."
         )
     return int(np.argmin(np.where(np.isnan(means), np.inf, means)))
-
-
-def _vertex(lams: np.ndarray, scores: Any, best: int) -> float | None:
-    """Of the parabola through the lowest mean and its neighbours, in log lambda; None at
-    an edge of the grid, or next to a lambda without a score."""
-    if not 0 < best < len(lams) - 1:
-        return None
-    x = np.log(lams[best - 1 : best + 2] / lams[best])
-    y = np.mean(np.asarray(scores)[:, best - 1 : best + 2], axis=0)
-    if not np.all(np.isfinite(y)):
-        return None
-    bend, slope, _ = np.polyfit(x, y, 2)
-    step = -slope / (2 * bend) if bend > 0 else 0.0
-    return float(lams[best] * np.exp(step)) if abs(step) > NEXT_TO else None
 
 
 def evaluated(

@@ -6,6 +6,7 @@ from jaxtyping import PRNGKeyArray
 from .._input.numbers import Numbers
 from .._objective.arguments import on_host
 from .._objective.problem import Problem
+from .._objective.robust import AbstractLoss
 from .._objective.wavelengths import anchor
 from .._source import AbstractSource
 from .._sources.checks import check_lams
@@ -15,7 +16,7 @@ from .folds import training_sets
 from .lambda_grid import lambda_grid
 from .orders import Order, over_orders
 from .path import up_and_down
-from .scores import KFold
+from .k_fold import KFold
 
 
 def cross_validate(
@@ -33,6 +34,10 @@ def cross_validate(
     width: float | None = None,
     graded: bool = False,
     tension: float = 0.0,
+    sigma: Numbers | None = None,
+    precision: Numbers | None = None,
+    frames: Numbers | None = None,
+    loss: AbstractLoss | str = "squared",
     order: Order = 2,
     linear_algebra: str = "auto",
     max_steps: int = 25,
@@ -97,4 +102,8 @@ def cross_validate(
         width=width,
         graded=graded,
         tension=tension,
+        sigma=sigma,
+        precision=precision,
+        frames=frames,
+        loss=loss,
     )

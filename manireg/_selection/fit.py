@@ -1,18 +1,23 @@
 """The one-call path."""
 
+from collections.abc import Callable
 from typing import Any, Literal
 
 from .._input.numbers import Numbers
-from .._objective.problem import make_problem
+from .._objective.problem import Problem, make_problem
+from .._objective.robust import AbstractLoss
 from .._solver.geodesic_loss import solve_geodesic
 from .._solver.model import RegressionMap
 from .._solver.solve import checked, solve
 from .._source import AbstractSource
 from ..manifolds import AbstractManifold
+from .choice import CrossValidation
+from .criteria import CriterionName, criterion_of
 from .cross_validate import cross_validate
-from .leave_one_out import leave_one_out
-from .orders import Order
-from .scores import STEPS_TO_THE_END
+from .leave_one_out import along_path
+from .noise import Scatter, blunted, check_scatter, with_estimated_noise
+from .one_fit import STEPS_TO_THE_END, OneFit
+from .orders import Order, over_orders
 
 
 def fit(
@@ -23,41 +28,68 @@ def fit(
     lam: Numbers | None = None,
     *,
     weights: Numbers | None = None,
+    sigma: Numbers | None = None,
+    precision: Numbers | None = None,
+    frames: Numbers | None = None,
+    scatter: Scatter = "additive",
+    loss: AbstractLoss | str = "squared",
     centres: int | None = None,
     degree: int | None = None,
     width: float | None = None,
     graded: bool = False,
     tension: float = 0.0,
     order: Order = 2,
-    loss: Literal["chord", "geodesic"] = "chord",
+    distance: Literal["chord", "geodesic"] = "chord",
+    criterion: CriterionName = "error",
     folds: int | None = None,
     **options,
 ) -> RegressionMap:
     r"""Learn a smooth map `source -> target` from pairs (x_i, y_i):
 
-    $$\min_\Psi \; \frac{\sum_i w_i d_N(y_i, \Psi(x_i))^2}{\sum_i w_i}
+    $$\min_\Psi \; \frac{\sum_i w_i \rho(q_i d_N(y_i, \Psi(x_i))^2)}{\sum_i w_i}
     + \lambda \int_M |\nabla^{p-1} d\Psi|^2$$
 
-    **Arguments:** `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`,
-    `graded`, `tension` as in `make_problem`; `order` p as there (default 2, the Eells
-    energy), or without `lam` several, `(2, 3)` or `"auto"`, to choose from; `lam` lambda,
-    or None to choose it; other options go to `solve` (with `lam`), `leave_one_out` or
-    `cross_validate` (without).
+    with relative precisions $q_i$ of mean 1 and the identity for $\rho$, unless they are
+    given.
 
+    **Arguments:** `source`, `target`, `x`, `y`, `weights`, `sigma`, `precision`, `frames`,
+    `loss`, `centres`, `degree`, `width`, `graded`, `tension` as in `make_problem`; `order`
+    p as there (default 2, the Eells energy), or without `lam` several, `(2, 3)` or
+    `"auto"`, to choose from; `lam` lambda, or None to choose it; other options go to
+    `solve` (with `lam`), `leave_one_out` or `cross_validate` (without).
+
+    - `scatter`: what is done where data scatter more than `sigma` or `precision` say.
+      `"additive"` (default): $\sigma_i^2 + \tau^2$, with $\tau$ by restricted likelihood
+      (0 where they do not); `"factor"`: all variances times $\varphi$, the reduced
+      $\chi^2$; `"none"`: what was given is believed. `model.summary()` tells both, and
+      under which of them left-out data are likelier.
+    - `loss`: a robust one whose data have no `sigma` is given its scale from them:
+      squared first, then with the scale of the residuals (see
+      `manireg._selection.noise`), each fit started from the one before, until that stays
+      to 1 %. `model.data_weights` are the weights it leaves.
+    - `criterion`: what lambda (and the order) is chosen by: `"error"` of data left out
+      (default), `"gcv"` or `"reml"`, as in `leave_one_out`.
     - `folds`: choose lambda by `cross_validate` with so many folds; default by
       `leave_one_out`, of which one fit a lambda is enough.
+    - `distance`: on a `PointCloud`, d_N is the chord (default: fast, right to third order)
+      or the length of the shortest curve (`"geodesic"`, a few solves more, for data far
+      from the map; `lam` has to be given). Other targets have d_N as it is.
 
-    - `loss`: on a `PointCloud`, d_N is the chord (default: fast, right to third order) or
-      the length of the shortest curve (`"geodesic"`, a few solves more, for data far from
-      the map; `lam` has to be given). Other targets have d_N as it is.
+    **Returns:** a `RegressionMap`: call it on new points; `.posterior()` says how sure it
+    is, `.summary()` how it fits; `.energies`, `.lam`, `.result`, `.stats`.
 
-    **Returns:** a `RegressionMap`: call it on new points; `.energies`, `.lam`,
-    `.result`, `.stats`.
+    **Raises** ValueError as `make_problem` does and for options that exclude each other,
+    RuntimeError where Newton does not converge, or a loss rejects so many data that
+    nothing is determined. **Warns** where the noise does not settle.
 
     Source: F. Steinke, M. Hein, Non-parametric Regression Between Manifolds, NIPS 2008.
     """
     data: dict[str, Any] = {
         "weights": weights,
+        "sigma": sigma,
+        "precision": precision,
+        "frames": frames,
+        "loss": loss,
         "centres": centres,
         "degree": degree,
         "width": width,
@@ -65,22 +97,71 @@ def fit(
         "tension": tension,
         "order": order,
     }
-    if loss not in ("chord", "geodesic") or (loss == "geodesic" and lam is None):
+    _check(lam, order, distance, folds, loss)
+    check_scatter(scatter)
+    if lam is not None:
+        problem = blunted(make_problem(source, target, x, y, **data))
+        minimise = solve_geodesic if distance == "geodesic" else solve
+        model = minimise(problem, lam, **options)
+        options = {**options, "starts": ()}
+        again: Again = lambda problem, model: minimise(
+            problem, lam, **options, warm=model.coefficients
+        )
+        return with_estimated_noise(model, again, scatter)
+    if folds is not None:
+        model = cross_validate(
+            source, target, x, y, folds=folds, **data, **options
+        ).model
+        options = {**options, "progress": False}
+        again = lambda problem, _: cross_validate(problem, folds=folds, **options).model
+        return with_estimated_noise(model, again, scatter)
+
+    judge, lams = criterion_of(criterion), options.pop("lams", None)
+
+    def chosen(
+        problem: Problem,
+        lams: Numbers | None = None,
+        warm: RegressionMap | None = None,
+        *,
+        linear_algebra: str = "auto",
+        max_steps: int = 40,
+        progress: bool = True,
+    ):
+        score = OneFit(problem, judge, linear_algebra, max_steps, warm)
+        return along_path(score, lams, progress, above=CALLS)
+
+    first = lambda problem, lams: chosen(blunted(problem), lams, **options)
+    model = over_orders(first, source, target, x, y, lams, **data).model
+    options["progress"] = False
+    again = lambda problem, model: _checked(chosen(problem, lams, model, **options))
+    return with_estimated_noise(
+        checked(model, STEPS_TO_THE_END), again, scatter
+    )
+
+
+Again = Callable[[Problem, RegressionMap], RegressionMap]
+CALLS = 6  # from a choice along the path to the user's line
+
+
+def _checked(cv: CrossValidation) -> RegressionMap:
+    return checked(cv.model, STEPS_TO_THE_END)
+
+
+def _check(lam, order: Order, distance: str, folds: int | None, loss) -> None:
+    if distance not in ("chord", "geodesic") or (distance == "geodesic" and lam is None):
         raise ValueError(
-            f"loss: expected 'chord' or, with a given `lam`, 'geodesic'; found {loss!r}."
+            "distance: expected 'chord' or, with a given `lam`, 'geodesic'; found "
+            f"{distance!r}."
         )
     if folds is not None and lam is not None:
         raise ValueError("folds: there is nothing to choose where `lam` is given.")
+    if folds is not None and loss != "squared":
+        raise ValueError(
+            "folds: each would have robust fits to start anew; leave `folds` out, to "
+            "choose lambda by one fit of all data."
+        )
     if lam is not None and not isinstance(order, int):
         raise ValueError(
             f"order: give one where `lam` is given, found {order!r}; lambda has a unit of "
             "its own for each."
         )
-    if lam is None and folds is not None:
-        options["folds"] = folds
-        return cross_validate(source, target, x, y, **data, **options).model
-    if lam is None:
-        model = leave_one_out(source, target, x, y, **data, **options).model
-        return checked(model, STEPS_TO_THE_END)
-    minimise = solve_geodesic if loss == "geodesic" else solve
-    return minimise(make_problem(source, target, x, y, **data), lam, **options)

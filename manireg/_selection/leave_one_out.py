@@ -1,21 +1,52 @@
 """Choice of lambda from one fit per lambda: what each datum would miss if left out, from
 the Hessian at the minimum (mathematics: 10.1)."""
 
+import functools
+
 import numpy as np
 
 from .._input.numbers import Numbers
 from .._objective.problem import Problem
 from .._objective.resolution import warn_where_coarse
+from .._objective.robust import AbstractLoss
 from .._source import AbstractSource
 from .._sources.checks import check_lams
 from ..manifolds import AbstractManifold
 from .choice import CrossValidation, choose
+from .criteria import CriterionName, criterion_of
 from .lambda_grid import coarse_grid
+from .one_fit import OneFit
 from .orders import Order, over_orders
-from .path import downwards
-from .scores import LeaveOneOut
+from .path import around, downwards
 
 CALLS = 3  # between the one of the user and a path of an order
+
+
+def along_path(
+    score: OneFit, given: Numbers | None, progress: bool, above: int
+) -> CrossValidation:
+    """Of the lambdas given, or a grid of its own, refined. `above`: calls between this one
+    and the user's, for warnings."""
+    problem, default = score.problem, given is None
+    plan = downwards
+    if score.warm is not None:
+        plan = functools.partial(around, middle=float(score.warm.lam))
+    cv = choose(
+        problem,
+        score,
+        np.asarray(coarse_grid(problem)) if default else check_lams(given),
+        plan,
+        refine=default,
+        progress=progress,
+    )
+    warn_where_coarse(
+        problem,
+        cv.model.coefficients,
+        cv.lam,
+        least=np.asarray(cv.lams)[0],
+        above=above,
+    )
+    return cv
 
 
 def leave_one_out(
@@ -31,7 +62,12 @@ def leave_one_out(
     width: float | None = None,
     graded: bool = False,
     tension: float = 0.0,
+    sigma: Numbers | None = None,
+    precision: Numbers | None = None,
+    frames: Numbers | None = None,
+    loss: AbstractLoss | str = "squared",
     order: Order = 2,
+    criterion: CriterionName = "error",
     linear_algebra: str = "auto",
     max_steps: int = 40,
     progress: bool = True,
@@ -77,24 +113,11 @@ def leave_one_out(
     of a grid that reaches below what the basis resolves.
     """
 
+    judge = criterion_of(criterion)
+
     def of(problem: Problem, given: Numbers | None) -> CrossValidation:
-        default = given is None
-        cv = choose(
-            problem,
-            LeaveOneOut(problem, linear_algebra, max_steps),
-            np.asarray(coarse_grid(problem)) if default else check_lams(given),
-            downwards,
-            refine=default,
-            progress=progress,
-        )
-        warn_where_coarse(
-            problem,
-            cv.model.coefficients,
-            cv.lam,
-            least=np.asarray(cv.lams)[0],
-            above=CALLS,
-        )
-        return cv
+        score = OneFit(problem, judge, linear_algebra, max_steps)
+        return along_path(score, given, progress, above=1 + CALLS)
 
     return over_orders(
         of,
@@ -110,4 +133,8 @@ def leave_one_out(
         width=width,
         graded=graded,
         tension=tension,
+        sigma=sigma,
+        precision=precision,
+        frames=frames,
+        loss=loss,
     )

@@ -38,6 +38,13 @@ def up_and_down(
     return [*plan, Leg(above[::-1])] if to_the_end else plan
 
 
+def around(grid: Sequence[float], middle: float) -> Sequence[Leg]:
+    """From the lambda next to `middle`, of which there is a map, up and down."""
+    at = int(np.argmin(np.abs(np.log(np.asarray(grid) / middle))))
+    first = grid[at]
+    return [Leg([first]), Leg(grid[at + 1 :], first), Leg(grid[:at][::-1], first)]
+
+
 def downwards(grid: Sequence[float]) -> Sequence[Leg]:
     """From the largest lambda to the least, whatever the scores on the way: a path that
     begins in a wrong minimum leaves it late (measured: one of 60 tracks of orientations,
@@ -74,7 +81,7 @@ def follow(
                 elif not fit.objective < (1 - LOWER) * before.objective:
                     break
                 fits[lam], place = fit, fit.place
-                mean = float(np.mean(score.trimmed(fit.scores)))
+                mean = float(np.mean(fit.scores))
                 lowest = min(lowest, mean)
                 if mean > leg.limit * lowest:
                     break

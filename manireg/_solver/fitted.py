@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
 from .._objective.arguments import of_data
 from .._objective.problem import Problem
 from .._programs.program import program
-from .leverages import left_out_errors
+from .leverages import Leverages, leverages, no_leverages
 from .linear import AbstractSolvers
 from .minimise import Method, minimise, newton_minimiser, stage_of
 from .minimum import Minimum
@@ -36,15 +36,15 @@ def fitted(
     *,
     method: Method = "projected",
     scored: bool = False,
-) -> tuple[Minimum, Float[np.ndarray, " n"]]:
+) -> tuple[Minimum, Leverages]:
     """The minimum next to `w` of an `argument(problem)`, without its model of the Hessian,
-    and with `scored` the errors of the `scored_data` left out, else zeros."""
+    and with `scored` the leverages of the `scored_data`, else zeros."""
     data, on_curve = scored_data(problem), problem.basis.dim == 1
     some = None if on_curve else (of_data(data, len(data)), np.asarray(len(data)))
     limits, scored = jax.tree.map(np.asarray, (tuple(limits), scored))
-    found, errors = _fitted(problem, lam, w, limits, scored, some, method, solvers)
-    errors = np.asarray(errors)
-    return found, errors[data] if on_curve else errors[: len(data)]
+    found, seen = _fitted(problem, lam, w, limits, scored, some, method, solvers)
+    own = data if on_curve else slice(len(data))
+    return found, Leverages(*(np.asarray(a)[own] for a in seen))
 
 
 def scored_data(problem: Problem) -> Int[np.ndarray, " n"]:
@@ -65,10 +65,10 @@ def _fitted(problem, lam, w, limits, scored, data, method, solvers) -> Any:
     )
     found = minimise(problem, lam, w, method, newton)
 
-    def errors():
+    def seen():
         stage = stage_of(problem, lam, found.gamma, method, found.w)
         assert found.model is not None
-        return left_out_errors(found.w, stage, found.model, solvers, data)
+        return leverages(found.w, stage, found.model, solvers, data)
 
-    nothing = lambda: jnp.zeros(len(problem.y if data is None else data[0]))
-    return found._replace(model=None), jax.lax.cond(scored, errors, nothing)
+    nothing = lambda: no_leverages(problem, len(problem.y if data is None else data[0]))
+    return found._replace(model=None), jax.lax.cond(scored, seen, nothing)

@@ -24,6 +24,7 @@ from .._programs.sizes import at_each
 from .._source import AbstractSource
 from .._sources.checks import check_inputs, is_concrete, projected
 from ..manifolds import AbstractManifold
+from .posterior import Posterior, posterior_of
 
 
 class RegressionMap(eqx.Module):
@@ -39,6 +40,10 @@ class RegressionMap(eqx.Module):
     energies: Energies
     result: optx.RESULTS
     stats: dict[str, Any]
+    problem: Problem | None = None
+    """What it was fitted to, for posteriors and summaries; None where the fit was traced
+    (`jit`, `vmap`). `dataclasses.replace(model, problem=None)` is the map alone, in a
+    small file."""
 
     __hash__ = object.__hash__  # `jax.jit(model)` asks for one
 
@@ -66,6 +71,11 @@ class RegressionMap(eqx.Module):
         values = eqx.error_if(values, ~covered, UNCOVERED)
         points = projected(self.target, values.reshape(-1, *self.target.point_shape))
         return points[0] if single else points
+
+
+    def posterior(self) -> Posterior:
+        """How sure the map is: covariances, regions, bands, random maps."""
+        return posterior_of(self)
 
 
 UNCOVERED = (
@@ -122,6 +132,6 @@ def regression_map(
 ) -> RegressionMap:
     """The map with coefficients `w`."""
     source, target, basis = problem.source, problem.target, problem.basis
-    return RegressionMap(
-        source, target, basis, problem.origin, w, lam, energies, result, stats
-    )
+    fit = problem.origin, w, lam, energies, result, stats
+    known = is_concrete(*jax.tree.leaves((problem, w)))
+    return RegressionMap(source, target, basis, *fit, problem if known else None)

@@ -116,7 +116,7 @@ def _spline(problem: Problem, jets: Jets, y, lam, solvers: AbstractSolvers):
         jax.vmap(flat, axes, axis_size=size), axes, axis_size=len(jets.index)
     )(at_points)
     costs = lam * problem.energy_weights[:, :, None] * costs
-    share = data_weights(problem)
+    share = data_weights(problem) * problem.precision.level[problem.data_jets.index]
     return _least_squares(problem, jets, costs, wanted, share, y, solvers)
 
 

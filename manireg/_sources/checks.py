@@ -86,8 +86,17 @@ def check_data(
 def least_inputs(source: AbstractSource, order: int) -> int:
     """Distinct ones; in flat spaces as many as there are polynomials of no energy."""
     m = source.dim
-    flat = source.linear or source.sampled is not source
-    return math.comb(order - 1 + m, m) if flat else m + 2
+    return null_dimension(source, order) if _flat(source) else m + 2
+
+
+def null_dimension(source: AbstractSource, order: int) -> int:
+    """Of the functions of no energy: polynomials of a degree below `order`, or constants
+    on sources that close up."""
+    return math.comb(order - 1 + source.dim, source.dim) if _flat(source) else 1
+
+
+def _flat(source: AbstractSource) -> bool:
+    return source.linear or source.sampled is not source
 
 
 class TooFewInputs(ValueError):

@@ -16,7 +16,7 @@ from .._objective.problem import make_problem, with_tension
 from .._programs.sizes import power_of_four
 from .._selection.choice import CrossValidation
 from .._selection.leave_one_out import leave_one_out
-from .._selection.scores import RTOL
+from .._selection.one_fit import RTOL
 from .._solver.model import RegressionMap, evaluate
 from .._solver.solve import solve
 from .._sources.sources import Ambient

@@ -1,0 +1,62 @@
+"""From what is known of the noise to what each datum weighs in the objective: precisions
+relative to their mean, so that lambda keeps its meaning, and that mean itself."""
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from .._input.precision import as_scalar
+from .._sources.noise import Noise
+from .losses import AbstractMisfit, GeodesicMisfit, WhitenedMisfit
+from .robust import AbstractLoss
+
+
+class Precision(eqx.Module):
+    """Of the data, as the objective reads it."""
+
+    relative: Float[Array, " k"] | Float[Array, "k n t"]
+    """One number a datum, or factors F of the precision in T_yN; 1 is the mean (of the
+    trace over n)."""
+    mean: Float[Array, ""] | None
+    """In units of N^-2, or None: only ratios are known."""
+    scatter: Float[ArrayLike, ""] = 0.0
+    r"""$\tau$, added to what is known."""
+    phi: float | None = None
+    r"""Reduced $\chi^2$ of the fit without it; None: not looked at."""
+    log_densities: tuple[float, float] | None = None
+    """Of left-out data, mean per direction: with a factor phi on the variances given, and
+    with the scatter added."""
+
+    @property
+    def level(self) -> Float[Array, " k"]:
+        """One number a datum, in any case."""
+        q = self.relative
+        return q if q.ndim == 1 else (q**2).sum((1, 2)) / q.shape[1]
+
+
+def equal_precisions(k: int) -> Precision:
+    return Precision(jax.device_put(np.ones(k)), None)
+
+
+def precision_of(
+    noise: Noise, weights: Float[Array, " k"], scatter: float = 0.0
+) -> Precision:
+    r"""Of variances $\sigma_i^2 + \tau^2$ along each axis, $\tau$ = `scatter`; what is
+    not known along an axis stays so. The mean is that of data of positive weight."""
+    known = np.asarray(noise.precisions)
+    absolute = known / (1 + scatter**2 * known)
+    mean = np.mean(absolute[np.asarray(weights) > 0])
+    relative = absolute / mean
+    if noise.axes is not None:
+        roots = np.sqrt(relative)[:, :, None]
+        relative = roots * np.swapaxes(np.asarray(noise.axes), 1, 2)
+    return Precision(jax.device_put(relative), as_scalar(mean), scatter)
+
+
+def misfit_of(precision: Precision, loss: AbstractLoss) -> AbstractMisfit:
+    """The scale of a robust loss is that of the noise where it is known; else it has to
+    be estimated, and is 1 until then."""
+    scale = 1.0 if precision.mean is None else float(precision.mean) ** -0.5
+    kind = GeodesicMisfit if precision.relative.ndim == 1 else WhitenedMisfit
+    return kind(loss, scale)

@@ -1,0 +1,75 @@
+"""How data scatter about a fitted map, and how many parameters the map has used up."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._objective.problem import Problem
+from .._sources.checks import null_dimension
+from .leverages import Leverages
+
+
+class Spread(NamedTuple):
+    r"""Of a fit, in units of the mean precision, with relative weights of mean 1. With a
+    robust loss squares are those that its weights leave."""
+
+    rss: float
+    r"""$\sum_i \rho(|r_i|^2)$."""
+    penalty: float
+    r"""$k \lambda S$."""
+    edf: float
+    """Effective degrees of freedom, the trace of what data do to their fitted values."""
+    dof: int
+    """Coordinates of all data: k n, less those of which nothing is known."""
+    null: int
+    """d_0: of the maps of no energy, were N flat."""
+    efficiency: float
+    r"""By which a robust loss widens the posterior, $E \psi^2\, E \rho' / (E \psi')^2$
+    over what `rss` has of it; 1 of squares."""
+    precision: float | None
+    """The mean one, absolute, in N^-2; None where only ratios are known."""
+
+    @property
+    def found(self) -> float:
+        r"""$\hat\sigma^2 = \mathrm{rss} / (\mathrm{dof} - \mathrm{edf})$."""
+        left = self.dof - self.edf
+        return self.rss / left if left > 0 else np.nan
+
+    @property
+    def phi(self) -> float | None:
+        r"""Reduced $\chi^2$: what is found over what was given; None where it was not."""
+        return None if self.precision is None else self.found * self.precision
+
+    @property
+    def variance(self) -> float:
+        """Of a datum of mean precision: the one given, or found."""
+        given = self.precision is not None
+        variance = 1 / self.precision if given else self.found  # type: ignore[operator]
+        return variance * self.efficiency
+
+
+def spread_of(problem: Problem, model: Any, seen: Leverages) -> Spread:
+    """`seen`: of the `scored_data`, which stand for all."""
+    heavy = np.asarray(problem.weights) > 0
+    k, n = int(np.sum(heavy)), problem.target.dim
+    dof, precision = k * n, problem.precision
+    if problem.noise is not None and problem.noise.axes is not None:
+        dof = int(np.sum(np.asarray(problem.noise.precisions)[heavy] > 0))
+    edf = float(np.sum(seen.leverages)) * k / len(seen.leverages)
+    energies = model.energies
+    rss, penalty = k * float(energies.loss), k * float(model.lam * energies.energy)
+    null = null_dimension(problem.source, problem.energy.order) * n
+    mean = None if precision.mean is None else float(precision.mean)
+    parts = rss, penalty, edf, dof, null, _efficiency(problem, seen), mean
+    return Spread(*parts)
+
+
+def _efficiency(problem: Problem, seen: Leverages) -> float:
+    """Means over the data and the n directions at each: psi is the residual times rho',
+    and of its derivative n - 1 eigenvalues are rho' and one has rho'', too."""
+    s = seen.squares
+    rho, first, second = seen.rho.T
+    slope = np.mean(first + 2 * second * s / problem.target.dim)
+    if slope <= 0 or not np.sum(rho) > 0:
+        return np.nan
+    return float(np.sum(first**2 * s) / np.sum(rho) * np.mean(first) / slope**2)
