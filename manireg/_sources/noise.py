@@ -16,7 +16,9 @@ ALIKE = 1e-6  # frames against orthonormal ones of the tangent space
 SYMMETRIC = 1e-8  # of the largest entry of a matrix
 NEGATIVE = 1e-10  # likewise, of an eigenvalue that counts as 0
 NOTHING = 1e-12  # of the largest entry: below it is rounding
-NO_NOISE = "Data that say nothing get the weight 0 in `weights`, and any noise."
+NO_NOISE = (
+    "Give data that say nothing the weight 0 in `weights`, and here some other value."
+)
 
 
 class Noise(eqx.Module):
@@ -97,7 +99,7 @@ def _ambient(target, matrices: np.ndarray, k: int) -> Float[np.ndarray, "k t t"]
 def _check_intrinsic(target, matrices: np.ndarray, k: int):
     n, t = target.dim, math.prod(target.point_shape)
     if matrices.shape != (k, n, n):
-        message = _wrong_shape(target, matrices, k, (n, n)) + " in these frames."
+        message = _wrong_shape(target, matrices, k, (n, n)) + " Frames have n vectors."
         ambient = matrices.shape[0:1] == (k,) and matrices.size == k * t * t
         cure = " If it is one of ambient coordinates, leave out `frames`." * ambient
         raise ValueError(message + cure)
@@ -123,8 +125,8 @@ def _symmetric(matrices: Float[np.ndarray, "k a a"]) -> Float[np.ndarray, "k a a
     worst = np.max(gap / np.where(largest > 0, largest, 1))
     _refuse(
         gap > SYMMETRIC * largest,
-        f"are not symmetric: {worst:.2g} of the largest entry from their transposes",
-        "Is it a root of the precision? Rounding is symmetrised by (P + P^T) / 2.",
+        f"are not symmetric, by up to {worst:.2g} of their largest entry",
+        "Is it a Cholesky factor of the precision? Rounding: take (P + P^T) / 2.",
     )
     return (matrices + transposed) / 2
 
@@ -138,7 +140,7 @@ def _semidefinite(
     _refuse(
         bad,
         f"have negative eigenvalues along the tangent space{least}",
-        "A precision is the inverse of a covariance.",
+        "A precision is the inverse of a covariance: make the least eigenvalues 0.",
     )
     _refuse(
         values.max(axis=1) <= NOTHING * largest,
@@ -166,7 +168,7 @@ def _frames(
     off = np.linalg.norm(frames - basis @ inside, axis=1)
     _refuse(
         np.any(off > ALIKE * np.linalg.norm(frames, axis=1), axis=1),
-        f"are not tangent at y (a vector has up to {off.max():.2g} across)",
+        f"are not tangent at y but up to {off.max():.2g} across",
         "Project their columns, M.tangent_projection(y, column), and make them "
         "orthonormal, e.g. with np.linalg.qr.",
         "frames",
@@ -174,8 +176,7 @@ def _frames(
     defect = _largest(np.swapaxes(frames, 1, 2) @ frames - np.eye(n))
     _refuse(
         defect > ALIKE,
-        f"are not orthonormal (their products differ from those by up to "
-        f"{defect.max():.2g})",
+        f"are not orthonormal: inner products are up to {defect.max():.2g} off",
         "Their vectors are columns, of length 1; np.linalg.qr makes such.",
         "frames",
     )
