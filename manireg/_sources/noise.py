@@ -113,7 +113,8 @@ def _wrong_shape(target, matrices, k, one: tuple[int, ...], shape=()) -> str:
         f"coordinates, dimension n = {n}), found {matrices.shape}"
     )
     if matrices.shape in (one, shape + shape):
-        return text + f". One matrix for each datum: np.tile(precision, ({k}, 1, 1))."
+        each = f"np.broadcast_to(precision, {(k, *matrices.shape)})"
+        return f"{text}. Give one for each datum: {each}."
     return text + "."
 
 

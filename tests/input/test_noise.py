@@ -200,7 +200,7 @@ def changed(array, index, value):
         ({"sigma": np.inf}, "sigma: .*found inf"),
         ({"sigma": "0.1"}, "sigma: expected real numbers"),
         ({"precision": np.eye(3)}, r"expected shape \(5, 3, 3\) for Sphere \(t = 3 coord.*"
-            r"n = 2\), found \(3, 3\). One matrix for each datum: np.tile"),
+            r"n = 2\), found \(3, 3\). Give one for each datum: np.broadc"),
         ({"precision": P2}, r"found \(5, 2, 2\).*give the `frames`"),
         ({"precision": P3[:4]}, r"found \(4, 3, 3\)"),
         ({"precision": np.ones(K)}, r"precision: expected shape .*found \(5,\)"),
@@ -218,7 +218,7 @@ def changed(array, index, value):
         ({"precision": P2, "frames": changed(FRAMES, 3, FRAMES[3] + 1e-5)},
             "frames: 1 of 5 are not tangent .*index 3.*tangent_projection"),
         ({"precision": P2, "frames": changed(FRAMES, 1, 1.01 * FRAMES[1])},
-            "frames: 1 of 5 are not orthonormal .*0.02.*index 1.*qr"),
+            "frames: 1 of 5 are not orthonormal: .*0.02.*index 1.*qr"),
         ({"precision": P2, "frames": changed(FRAMES, 1, FRAMES[1, :, :1])},
             "frames: 1 of 5 are not orthonormal"),
     ],
@@ -232,6 +232,10 @@ def test_shapes_of_matrices_are_named():
     y, P = points_on(ROTATIONS), np.tile(np.eye(3), (K, 1, 1))
     with pytest.raises(ValueError, match=r"\(5, 9, 9\) or \(5, 3, 3, 3, 3\) for Spec"):
         check_noise(ROTATIONS, y, precision=P)
+    with pytest.raises(
+        ValueError, match=r"np.broadcast_to\(precision, \(5, 3, 3, 3, 3\)"
+    ):
+        check_noise(ROTATIONS, y, precision=np.ones((3, 3, 3, 3)))
     with pytest.raises(ValueError, match=r"\(5, 9, 3\) or \(5, 3, 3, 3\) for Special"):
         check_noise(ROTATIONS, y, precision=P, frames=P)
 
