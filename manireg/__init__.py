@@ -12,6 +12,11 @@ from . import (
 from ._cache import cache_programs as cache_programs
 from ._discretisation.domain import Domain as Domain
 from ._geodesics.geodesic import Geodesic as Geodesic, geodesic as geodesic
+from ._input.directional import (
+    a95_of as a95_of,
+    from_a95 as from_a95,
+    from_kappa as from_kappa,
+)
 from ._objective.energy_of_map import (
     eells_energy as eells_energy,
     energy as energy,

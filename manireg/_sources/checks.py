@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._input.numbers import Numbers, as_numbers, numbers_and_unit
+from .._input.positive import refuse_other_than_positive
 from .._input.precision import as_scalar
 from .._input.shown import shown
 from .._source import AbstractSource
@@ -223,7 +224,7 @@ def check_positive(name: str, value: Numbers, demand: str, cure: str) -> Array:
     if value.size != 1:
         raise ValueError(f"{name}: expected one number, found shape {value.shape}.")
     if is_concrete(value):
-        _refuse_other_than_positive(name, value.ravel(), demand, cure)
+        refuse_other_than_positive(name, value.ravel(), demand, cure)
     return as_scalar(value).reshape(())
 
 
@@ -232,17 +233,8 @@ def check_grid(name: str, values: Numbers, demand: str, cure: str) -> np.ndarray
     values = as_numbers(name, values).ravel()
     if values.size == 0:
         raise ValueError(f"{name}: {demand}, found none. {cure}")
-    _refuse_other_than_positive(name, values, demand, cure)
+    refuse_other_than_positive(name, values, demand, cure)
     return np.unique(values)
-
-
-def _refuse_other_than_positive(name, values, demand, cure):
-    bad = np.flatnonzero(~(np.isfinite(values) & (values > 0)))
-    if len(bad):
-        where = f" at index {bad[0]}" if len(values) > 1 else ""
-        raise ValueError(
-            f"{name}: {demand}, found {shown(values[bad[0]])}{where}. {cure}"
-        )
 
 
 def _checked_weights(weights, k: int) -> np.ndarray:
