@@ -25,6 +25,13 @@ from ._objective.energy_of_map import (
 from ._objective.objective import Energies as Energies
 from ._objective.problem import Problem as Problem, make_problem as make_problem
 from ._objective.resolution import ResolutionWarning as ResolutionWarning
+from ._objective.robust import (
+    AbstractLoss as AbstractLoss,
+    Huber as Huber,
+    Squared as Squared,
+    StudentT as StudentT,
+    Tukey as Tukey,
+)
 from ._objective.terms import AbstractTerm as AbstractTerm
 from ._selection.choice import CrossValidation as CrossValidation
 from ._selection.cross_validate import cross_validate as cross_validate
@@ -33,6 +40,8 @@ from ._selection.lambda_grid import lambda_grid as lambda_grid
 from ._selection.leave_one_out import leave_one_out as leave_one_out
 from ._selection.sweep import sweep as sweep
 from ._solver.model import RegressionMap as RegressionMap
+from ._solver.posterior import Posterior as Posterior
+from ._solver.regions import Region as Region
 from ._solver.solve import solve as solve
 from ._source import AbstractSource as AbstractSource, Chart as Chart
 from ._sources.circle import Circle as Circle

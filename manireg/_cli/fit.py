@@ -12,8 +12,8 @@ import manireg as mr
 
 from .. import plot
 from .._input.shown import shown
-from .._selection.orders import Order
 from .._selection.one_fit import STEPS_TO_THE_END
+from .._selection.orders import Order
 from .._solver.solve import checked
 from ..datasets._entries import is_data
 from ..datasets._text_tables import TextTable, read_text_table

@@ -290,7 +290,9 @@ def assemble_problem(
     if data_volume is None:
         data_volume = np.sum(np.asarray(domain.weights))
     energy = IntrinsicEnergy() if energy is None else energy
-    relative = equal_precisions(len(y)) if noise is None else precision_of(noise, weights)
+    relative = (
+        equal_precisions(len(y)) if noise is None else precision_of(noise, weights)
+    )
     order = max(0, *energy.orders, *(o for term in terms for o in term.orders))
     geodesics = domain.geodesics(order)
     energy_jets = jets_of(basis, geodesics, order)

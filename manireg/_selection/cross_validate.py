@@ -13,10 +13,10 @@ from .._sources.checks import check_lams
 from ..manifolds import AbstractManifold
 from .choice import CrossValidation, choose
 from .folds import training_sets
+from .k_fold import KFold
 from .lambda_grid import lambda_grid
 from .orders import Order, over_orders
 from .path import up_and_down
-from .k_fold import KFold
 
 
 def cross_validate(

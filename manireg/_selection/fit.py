@@ -134,9 +134,7 @@ def fit(
     model = over_orders(first, source, target, x, y, lams, **data).model
     options["progress"] = False
     again = lambda problem, model: _checked(chosen(problem, lams, model, **options))
-    return with_estimated_noise(
-        checked(model, STEPS_TO_THE_END), again, scatter
-    )
+    return with_estimated_noise(checked(model, STEPS_TO_THE_END), again, scatter)
 
 
 Again = Callable[[Problem, RegressionMap], RegressionMap]
@@ -148,7 +146,9 @@ def _checked(cv: CrossValidation) -> RegressionMap:
 
 
 def _check(lam, order: Order, distance: str, folds: int | None, loss) -> None:
-    if distance not in ("chord", "geodesic") or (distance == "geodesic" and lam is None):
+    if distance not in ("chord", "geodesic") or (
+        distance == "geodesic" and lam is None
+    ):
         raise ValueError(
             "distance: expected 'chord' or, with a given `lam`, 'geodesic'; found "
             f"{distance!r}."

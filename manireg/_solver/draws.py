@@ -59,7 +59,7 @@ def _draws(stage, w, hessian, solvers, key):
         return np.sqrt(2.0) * pull(normal)[0]
 
     keys = jax.random.split(jax.random.wrap_key_data(key), AT_A_TIME)
-    sides = jax.lax.map(disturbed, keys)
+    sides = jax.vmap(disturbed)(keys)
     solve = functools.partial(solvers.positive.compute, options={})
     factor = solvers.positive.init(hessian, {})
     found = solve(factor, jnp.moveaxis(sides, 0, -1))[0]

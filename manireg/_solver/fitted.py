@@ -4,7 +4,6 @@ given lambda, along a path or to the end, so it is compiled once."""
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
 

@@ -65,9 +65,7 @@ def leverages(
         # each datum for itself: nothing is solved for places that are not taken
         pick = lambda a: a.reshape(-1, *a.shape[2:])[slots][:, None]
         arrays = tuple(map(pick, arrays))
-        elements = Elements(
-            pick(elements.values), elements.columns[element], count
-        )
+        elements = Elements(pick(elements.values), elements.columns[element], count)
     residual, slope, square, index = arrays
     rho = jnp.stack([misfit.rho(square), *_derivatives(misfit, square)], axis=-1)
     covariance = solvers.positive.covariances(hessian, elements)

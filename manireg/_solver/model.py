@@ -72,7 +72,6 @@ class RegressionMap(eqx.Module):
         points = projected(self.target, values.reshape(-1, *self.target.point_shape))
         return points[0] if single else points
 
-
     def posterior(self) -> Posterior:
         """How sure the map is: covariances, regions, bands, random maps."""
         return posterior_of(self)

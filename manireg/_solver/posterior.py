@@ -7,7 +7,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Float, PRNGKeyArray
+from scipy.sparse import csr_array
 
 from .._algebra.covariances import Elements
 from .._algebra.sparse import SparseSymmetric
@@ -27,7 +28,7 @@ from .minimise import gauge, stage_of
 from .regions import Region, quantile_radius
 from .spread import Spread
 
-DRAWS = 2000  # maps that a band is made of
+DRAWS = 1000  # maps that a band is made of
 LEAST_ROWS = 16
 
 
@@ -77,7 +78,7 @@ class Posterior(eqx.Module):
         r"""Where the map is at each of q points `x`, with probability `level`.
 
         - `simultaneous`: a band, that holds the whole map over all of `x` with that
-          probability: its radius is the quantile of the largest deviation of 2,000 drawn
+          probability: its radius is the quantile of the largest deviation of 1,000 drawn
           maps (`key`, default `jax.random.key(0)`).
         - `new`: True: where a new datum of mean precision would be; a number: one with
           that standard deviation.
@@ -85,7 +86,9 @@ class Posterior(eqx.Module):
         **Raises** ValueError as calling the map does, for a level not between 0 and 1, and
         for a band of new data."""
         if simultaneous and new:
-            raise ValueError("region: `new` data are regions one by one; leave out one.")
+            raise ValueError(
+                "region: `new` data are regions one by one; leave out one."
+            )
         covariance, frames = self.covariance(x)
         n = covariance.shape[1]
         radius = quantile_radius(level, n)
@@ -122,26 +125,30 @@ class Posterior(eqx.Module):
     def _band(self, x, covariance, frames, level, key) -> float:
         key = jax.random.key(0) if key is None else key
         flat = np.asarray(check_inputs(self.model.source, x)[0])
-        near = centres_near(self.model.basis, flat)
-        owner = self.model.basis, self._drawn(key, DRAWS)
-        moved = at_each(_moved, owner, flat, near, most=256)  # (q, DRAWS, t)
-        _, psi = self._at(flat, only_values=True)
+        rows, near, psi = self._values(flat)
         slopes = at_each(_slope, self.model.target, psi, frames)
-        z = np.einsum("qnt,qdt->qdn", slopes, moved)
-        lengths = np.einsum("qdn,qdn->qd", z, np.linalg.solve(covariance, z.swapaxes(1, 2)).swapaxes(1, 2))
-        return float(np.sqrt(np.quantile(lengths.max(axis=0), level)))
+        drawn = self._drawn(key, DRAWS)
+        size, t = drawn.shape[1:]
+        values = _as_matrix(rows, near, size) @ np.moveaxis(drawn, 0, 2).reshape(size, -1)
+        values = values.reshape(len(flat), t, DRAWS)
+        root = np.linalg.cholesky(covariance)
+        z = np.linalg.solve(root, slopes @ values)
+        largest = np.max(np.sum(z**2, axis=1), axis=0)
+        return float(np.sqrt(np.quantile(largest, level)))
 
-    def _at(self, flat, only_values: bool = False):
-        """Covariances `(q, t, t)` of Psi, and Psi itself."""
+    def _values(self, flat):
+        """Basis functions `(q, L * C)` of the centres `(q, L)` near each point, and Psi
+        there."""
         basis, w = self.model.basis, self.model.coefficients
         near = centres_near(basis, flat)
         rows = at_each(_rows, basis, flat, near)
-        owner = w, self.model.origin
-        psi = at_each(_psi, owner, rows, near)
-        if only_values:
-            return None, psi
+        return rows, near, at_each(_psi, (w, self.model.origin), rows, near)
+
+    def _at(self, flat):
+        """Covariances `(q, t, t)` of Psi, and Psi itself."""
+        rows, near, psi = self._values(flat)
+        functions = self.model.basis.size
         parts, size = [], power_of_four(min(len(flat), ROWS), least=LEAST_ROWS)
-        functions = basis.size
         for start in range(0, len(flat), size):
             some = slice(start, start + size)
             values = filled(rows[some], size).reshape(size, 1, -1, functions)
@@ -189,11 +196,14 @@ def _psi(owner, rows, near):
     return origin + jnp.einsum("lc,lct->t", rows.reshape(len(near), -1), w[near])
 
 
-def _moved(owner, x, near):
-    basis, w = owner
-    rows = basis_values(basis, x, near).reshape(len(near), -1)
-    w = w.reshape(len(w), -1, basis.size, w.shape[2])[:, near]
-    return jnp.einsum("lc,dlct->dt", rows, w)
+def _as_matrix(rows, near, size: int) -> csr_array:
+    """Values of all basis functions `(q, K C)`."""
+    functions = rows.shape[1] // near.shape[1]
+    columns = near[:, :, None] * functions + np.arange(functions)
+    point = np.broadcast_to(np.arange(len(rows))[:, None, None], columns.shape)
+    there = columns >= 0
+    entries = rows.reshape(columns.shape)[there], (point[there], columns[there])
+    return csr_array(entries, shape=(len(rows), size))
 
 
 def _landed(target, psi):

@@ -23,9 +23,9 @@ class Spread(NamedTuple):
     """Coordinates of all data: k n, less those of which nothing is known."""
     null: int
     """d_0: of the maps of no energy, were N flat."""
-    efficiency: float
-    r"""By which a robust loss widens the posterior, $E \psi^2\, E \rho' / (E \psi')^2$
-    over what `rss` has of it; 1 of squares."""
+    robust: float | None
+    r"""Of a robust loss the variance of a datum as the posterior needs it, $\hat\sigma^2
+    E \psi^2\, E \rho' / (E \psi')^2$ with the influence $\psi$; None of squares."""
     precision: float | None
     """The mean one, absolute, in N^-2; None where only ratios are known."""
 
@@ -42,10 +42,11 @@ class Spread(NamedTuple):
 
     @property
     def variance(self) -> float:
-        """Of a datum of mean precision: the one given, or found."""
-        given = self.precision is not None
-        variance = 1 / self.precision if given else self.found  # type: ignore[operator]
-        return variance * self.efficiency
+        """Of a datum of mean precision: the one given, or found; of a robust loss always
+        found."""
+        if self.robust is not None:
+            return self.robust
+        return self.found if self.precision is None else 1 / self.precision
 
 
 def spread_of(problem: Problem, model: Any, seen: Leverages) -> Spread:
@@ -60,16 +61,16 @@ def spread_of(problem: Problem, model: Any, seen: Leverages) -> Spread:
     rss, penalty = k * float(energies.loss), k * float(model.lam * energies.energy)
     null = null_dimension(problem.source, problem.energy.order) * n
     mean = None if precision.mean is None else float(precision.mean)
-    parts = rss, penalty, edf, dof, null, _efficiency(problem, seen), mean
-    return Spread(*parts)
+    robust = None if problem.misfit.squared else _robust(problem, seen, k, dof - edf)
+    return Spread(rss, penalty, edf, dof, null, robust, mean)
 
 
-def _efficiency(problem: Problem, seen: Leverages) -> float:
+def _robust(problem: Problem, seen: Leverages, k: int, left: float) -> float:
     """Means over the data and the n directions at each: psi is the residual times rho',
     and of its derivative n - 1 eigenvalues are rho' and one has rho'', too."""
-    s = seen.squares
-    rho, first, second = seen.rho.T
-    slope = np.mean(first + 2 * second * s / problem.target.dim)
-    if slope <= 0 or not np.sum(rho) > 0:
+    _, first, second = seen.rho.T
+    slope = np.mean(first + 2 * second * seen.squares / problem.target.dim)
+    if slope <= 0 or left <= 0:
         return np.nan
-    return float(np.sum(first**2 * s) / np.sum(rho) * np.mean(first) / slope**2)
+    squares = k * np.mean(first**2 * seen.squares) / left
+    return float(squares * np.mean(first) / slope**2)
