@@ -12,6 +12,11 @@ from . import (
 from ._cache import cache_programs as cache_programs
 from ._discretisation.domain import Domain as Domain
 from ._geodesics.geodesic import Geodesic as Geodesic, geodesic as geodesic
+from ._inference.readings import (
+    SphereMotion as SphereMotion,
+    angular_velocity as angular_velocity,
+    sphere_motion as sphere_motion,
+)
 from ._objective.energy_of_map import (
     eells_energy as eells_energy,
     energy as energy,
@@ -27,6 +32,7 @@ from ._selection.fit import fit as fit
 from ._selection.lambda_grid import lambda_grid as lambda_grid
 from ._selection.leave_one_out import leave_one_out as leave_one_out
 from ._selection.sweep import sweep as sweep
+from ._solver.derivatives import Differential as Differential
 from ._solver.model import RegressionMap as RegressionMap
 from ._solver.solve import solve as solve
 from ._source import AbstractSource as AbstractSource, Chart as Chart

@@ -12,7 +12,7 @@ import manireg
 
 FLOORS: Sequence[str] = """
 _cache _input _programs _algebra meshes _source manifolds _sources _geodesics
-_discretisation _objective _solver _selection _surfaces baselines datasets plot
+_discretisation _objective _solver _inference _selection _surfaces baselines datasets plot
 __init__ _cli __main__
 """.split()
 ROOT = Path(manireg.__path__[0])

@@ -1,0 +1,1 @@
+"""What a fitted map says, in the terms of a field. Knows no basis and no solver."""
