@@ -33,6 +33,7 @@ from ._objective.robust import (
     Tukey as Tukey,
 )
 from ._objective.terms import AbstractTerm as AbstractTerm
+from ._selection.bootstrap import bootstrap as bootstrap
 from ._selection.choice import CrossValidation as CrossValidation
 from ._selection.cross_validate import cross_validate as cross_validate
 from ._selection.fit import fit as fit

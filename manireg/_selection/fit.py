@@ -10,10 +10,14 @@ from .._solver.geodesic_loss import solve_geodesic
 from .._solver.model import RegressionMap
 from .._solver.solve import checked, solve
 from .._source import AbstractSource
+from .._sources.checks import check_points
+from .._sources.input_errors import check_input_errors
 from ..manifolds import AbstractManifold
 from .choice import CrossValidation
 from .criteria import CriterionName, criterion_of
 from .cross_validate import cross_validate
+from .effective_variance import with_effective_variance
+from .latent_inputs import with_latent_inputs
 from .leave_one_out import along_path
 from .noise import Scatter, blunted, check_scatter, with_estimated_noise
 from .one_fit import STEPS_TO_THE_END, OneFit
@@ -32,6 +36,10 @@ def fit(
     precision: Numbers | None = None,
     frames: Numbers | None = None,
     scatter: Scatter = "additive",
+    x_sigma: Numbers | None = None,
+    x_min: Numbers | None = None,
+    x_max: Numbers | None = None,
+    x_error: Literal["latent", "effective"] = "latent",
     loss: AbstractLoss | str = "squared",
     centres: int | None = None,
     degree: int | None = None,
@@ -99,24 +107,54 @@ def fit(
     }
     _check(lam, order, distance, folds, loss)
     check_scatter(scatter)
+    inexact = _input_errors(source, x, x_sigma, x_min, x_max, x_error)
     if lam is not None:
-        problem = blunted(make_problem(source, target, x, y, **data))
-        minimise = solve_geodesic if distance == "geodesic" else solve
-        model = minimise(problem, lam, **options)
-        options = {**options, "starts": ()}
-        again: Again = lambda problem, model: minimise(
-            problem, lam, **options, warm=model.coefficients
-        )
-        return with_estimated_noise(model, again, scatter)
-    if folds is not None:
-        model = cross_validate(
-            source, target, x, y, folds=folds, **data, **options
-        ).model
-        options = {**options, "progress": False}
-        again = lambda problem, _: cross_validate(problem, folds=folds, **options).model
-        return with_estimated_noise(model, again, scatter)
+        model, again = _given(source, target, x, y, lam, distance, data, options)
+    elif folds is not None:
+        model, again = _by_folds(source, target, x, y, folds, data, options)
+    else:
+        model, again = _along_path(source, target, x, y, criterion, data, options)
+    model = with_estimated_noise(model, again, scatter)
+    if inexact is None:
+        return model
+    if x_error == "effective":
+        return with_effective_variance(model, inexact, again, scatter)
+    progress = options.get("progress", True)
+    return with_latent_inputs(model, inexact, lam is None, scatter, progress)
 
-    judge, lams = criterion_of(criterion), options.pop("lams", None)
+
+Again = Callable[[Problem, RegressionMap], RegressionMap]
+CALLS = 6  # from a choice along the path to the user's line
+
+
+def _given(
+    source, target, x, y, lam, distance, data, options
+) -> tuple[RegressionMap, Again]:
+    """The fit at a lambda, and how to repeat it near a map."""
+    minimise = solve_geodesic if distance == "geodesic" else solve
+    model = minimise(blunted(make_problem(source, target, x, y, **data)), lam, **options)
+    options = {**options, "starts": ()}
+
+    def again(problem, model):
+        return minimise(problem, lam, **options, warm=model.coefficients)
+
+    return model, again
+
+
+def _by_folds(
+    source, target, x, y, folds, data, options
+) -> tuple[RegressionMap, Again]:
+    options = {**options, "folds": folds}
+    model = cross_validate(source, target, x, y, **data, **options).model
+    options["progress"] = False
+    return model, lambda problem, _: cross_validate(problem, **options).model
+
+
+def _along_path(
+    source, target, x, y, criterion, data, options
+) -> tuple[RegressionMap, Again]:
+    judge, options = criterion_of(criterion), dict(options)
+    lams = options.pop("lams", None)
 
     def chosen(
         problem: Problem,
@@ -126,23 +164,29 @@ def fit(
         linear_algebra: str = "auto",
         max_steps: int = 40,
         progress: bool = True,
-    ):
+    ) -> CrossValidation:
         score = OneFit(problem, judge, linear_algebra, max_steps, warm)
         return along_path(score, lams, progress, above=CALLS)
 
+    def again(problem, model):
+        parts = {**options, "progress": False}
+        return checked(chosen(problem, lams, model, **parts).model, STEPS_TO_THE_END)
+
     first = lambda problem, lams: chosen(blunted(problem), lams, **options)
     model = over_orders(first, source, target, x, y, lams, **data).model
-    options["progress"] = False
-    again = lambda problem, model: _checked(chosen(problem, lams, model, **options))
-    return with_estimated_noise(checked(model, STEPS_TO_THE_END), again, scatter)
+    return checked(model, STEPS_TO_THE_END), again
 
 
-Again = Callable[[Problem, RegressionMap], RegressionMap]
-CALLS = 6  # from a choice along the path to the user's line
-
-
-def _checked(cv: CrossValidation) -> RegressionMap:
-    return checked(cv.model, STEPS_TO_THE_END)
+def _input_errors(source, x, x_sigma, x_min, x_max, x_error: str):
+    if x_error not in ("latent", "effective"):
+        raise ValueError(
+            f"x_error: expected 'latent' or 'effective', found {x_error!r}."
+        )
+    if x_sigma is None and x_min is None and x_max is None:
+        return None
+    return check_input_errors(
+        source, check_points("x", source, x), x_sigma, x_min, x_max
+    )
 
 
 def _check(lam, order: Order, distance: str, folds: int | None, loss) -> None:

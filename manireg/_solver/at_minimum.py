@@ -13,7 +13,7 @@ from .._algebra.sparse import SparseSymmetric
 from .._objective.arguments import argument, of_data
 from .._objective.hessian import gauss_newton
 from .._objective.objective import objective
-from .._objective.problem import Problem
+from .._objective.problem import Problem, number_of_data
 from .._programs.program import program
 from .fitted import scored_data
 from .leverages import Leverages, leverages
@@ -66,7 +66,7 @@ def lambda_error(model: Any, found: AtMinimum) -> Float[Array, "KC t"]:
     moved, promised, edf = _along_lambda(
         given, lam, w, _some(model.problem, found.data), found.solvers, found.hessian
     )
-    spread, k = found.spread, int(np.sum(np.asarray(model.problem.weights) > 0))
+    spread, k = found.spread, number_of_data(model.problem)
     lost = spread.edf * (1 - float(edf) / np.sum(found.leverages.leverages))
     gained = spread.penalty - k * float(promised)
     curvature = gained / spread.variance + lost / math.log(STEP)
