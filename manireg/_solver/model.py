@@ -25,6 +25,7 @@ from .._source import AbstractSource
 from .._sources.checks import check_inputs, is_concrete, projected
 from ..manifolds import AbstractManifold
 from .posterior import Posterior, posterior_of
+from .summary import Summary, data_weights_of, summary_of
 
 
 class RegressionMap(eqx.Module):
@@ -75,6 +76,17 @@ class RegressionMap(eqx.Module):
     def posterior(self) -> Posterior:
         """How sure the map is: covariances, regions, bands, random maps."""
         return posterior_of(self)
+
+    def summary(self) -> Summary:
+        """How it fits the data: what noise was found, how many parameters it took, which
+        data are odd. `print` it, or read its fields."""
+        return summary_of(self)
+
+    @property
+    def data_weights(self) -> Float[np.ndarray, " k"]:
+        r"""What the loss leaves of each datum in the order of `y`: $\rho'(s_i)$, between 0
+        and 1, of its squared residual s_i in units of the loss's scale; 1 for squares."""
+        return data_weights_of(self)
 
 
 UNCOVERED = (
