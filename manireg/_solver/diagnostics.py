@@ -21,8 +21,8 @@ class Diagnostics(NamedTuple):
     """Of n data: those of positive weight, on sources other than curves at most 1,000 of
     them, drawn at random, always the same."""
 
-    index: Int[np.ndarray, " n"]
-    """Among the data as they were given."""
+    data: Int[np.ndarray, " n"]
+    """Their indices."""
     inputs: Float[np.ndarray, "n ..."]
     """`(n, *source.point_shape)`."""
     residuals: Float[np.ndarray, " n"]
@@ -50,23 +50,24 @@ def diagnostics(problem: Problem, found: AtMinimum, sigma: float) -> Diagnostics
     weights = np.asarray(problem.weights)
     share = weights[index] / np.mean(weights[weights > 0])
     squares = np.sum(seen.residuals * seen.left_out, axis=1)
-    standardised = np.sqrt(share * np.maximum(squares, 0.0)) / sigma
+    with np.errstate(divide="ignore", invalid="ignore"):  # of data without noise
+        standardised = np.sqrt(share * np.maximum(squares, 0.0)) / sigma
     inputs = problem.source.from_ambient(problem.x)
     return Diagnostics(
-        index=index,
+        data=index,
         inputs=np.asarray(inputs)[index],
         residuals=_lengths(problem, index, seen.residuals, np.sqrt(seen.squares)),
         left_out=_lengths(
             problem, index, seen.left_out, np.linalg.norm(seen.left_out, axis=1)
         ),
         standardised=_numbers(standardised),
-        weights=seen.rho[:, 1],
-        leverages=seen.leverages.sum(1) / problem.target.dim,
+        weights=np.asarray(seen.rho)[:, 1],
+        leverages=np.asarray(seen.leverages).sum(1) / problem.target.dim,
     )
 
 
 def _lengths(problem: Problem, index, whitened, lengths) -> Float[np.ndarray, " n"]:
-    """In the unit of N, of residuals (and their lengths) in units of the mean precision."""
+    """In the unit of N, of residuals and their lengths in those of the mean precision."""
     q = np.asarray(problem.precision.relative)[index]
     if q.ndim == 1:
         return _numbers(lengths / np.sqrt(q))
@@ -78,7 +79,7 @@ def _lengths(problem: Problem, index, whitened, lengths) -> Float[np.ndarray, " 
 
 def _numbers(values: np.ndarray) -> np.ndarray:
     """A datum that alone determines the map: without it, anything."""
-    return np.nan_to_num(values, nan=np.inf)
+    return np.where(np.isnan(values), np.inf, values)
 
 
 def loss_weights(problem: Problem, model: Any) -> Float[np.ndarray, " k"]:

@@ -129,9 +129,7 @@ class Posterior(eqx.Module):
         slopes = at_each(_slope, self.model.target, psi, frames)
         drawn = self._drawn(key, DRAWS)
         size, t = drawn.shape[1:]
-        values = _as_matrix(rows, near, size) @ np.moveaxis(drawn, 0, 2).reshape(
-            size, -1
-        )
+        values = _as_matrix(rows, near, size) @ np.moveaxis(drawn, 0, 2).reshape(size, -1)
         values = values.reshape(len(flat), t, DRAWS)
         root = np.linalg.cholesky(covariance)
         z = np.linalg.solve(root, slopes @ values)

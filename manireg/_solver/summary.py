@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .._input.shown import listed
 from .._objective.arguments import on_host
 from .._objective.problem import Problem
 from .._objective.resolution import unresolved
@@ -16,6 +15,7 @@ from .at_minimum import at_minimum
 from .diagnostics import Diagnostics, diagnostics, loss_weights
 from .minimum import is_successful
 from .spread import Spread
+from .summary_text import rows_of, text_of, worst_rows
 
 STRAIGHT = 1.0  # parameters more than the maps of no energy have
 INTERPOLATING = 0.9  # of all degrees of freedom
@@ -32,7 +32,7 @@ class Lengths(NamedTuple):
 
 
 class Summary(NamedTuple):
-    r"""Of a fitted map; `print(model.summary())` is a table. Lengths are in the unit of the
+    """Of a fitted map; `print(model.summary())` is a table. Lengths are in the unit of the
     target: of `Sphere(2)` radians."""
 
     k: int
@@ -46,8 +46,8 @@ class Summary(NamedTuple):
     r"""$2\pi (\lambda V)^{1/2p}$, V the volume that the data fill: shorter waves are
     smoothed away (see `lambda_grid`)."""
     spread: Spread
-    """Among others `edf`, the effective degrees of freedom, and `null`, those of the maps
-    of no energy; `dof`, those of the data."""
+    """What `edf`, `dof` and `sigma` come from; its `null` are the degrees of freedom of
+    the maps of no energy."""
     sigma: float
     r"""$\hat\sigma$, found: the root of `rss / (dof - edf)` (with a robust loss, of the
     variance that the posterior takes), of a datum of mean precision, per direction. NaN
@@ -84,6 +84,16 @@ class Summary(NamedTuple):
     """Distinct inputs that lie closer than centres and lambda resolve."""
 
     @property
+    def edf(self) -> float:
+        """Effective degrees of freedom that the map has used."""
+        return self.spread.edf
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of the data: k n, less those of which nothing is known."""
+        return self.spread.dof
+
+    @property
     def likelier(self) -> str | None:
         """Of left-out data: `"factor"` or `"additive"`; None without both."""
         if self.log_densities is None:
@@ -116,94 +126,14 @@ class Summary(NamedTuple):
     def rows(self, degrees: float | None = None) -> dict[str, str]:
         """Names and values, in the order of the table. `degrees`: what one unit of N is
         in degrees, to write lengths in them."""
-        unit = _Unit(degrees)
-        spread = self.spread
-        rows = {
-            "data": f"{self.k}, on a target of dimension {self.n}",
-            "order": str(self.order),
-            "lambda": f"{self.lam:.4g} (wavelength {self.wavelength:.3g})",
-            "degrees of freedom": f"{spread.edf:.1f} of {spread.dof} (the smoothest maps "
-            f"have {spread.null})",
-            "sigma, found": unit(self.sigma),
-        }
-        if self.sigma_given is not None:
-            rows["sigma, taken"] = unit(self.sigma_given)
-        rows |= self._scatter(unit)
-        rows["loss"] = self.loss
-        if self.scale is not None:
-            half, tenth = (int(np.sum(self.weights < w)) for w in (0.5, 0.1))
-            rows["loss"] += f", scale {unit(self.scale)}"
-            rows["weights left"] = f"{half} below a half, {tenth} below a tenth"
-        for name, lengths in (
-            ("residuals", self.residuals),
-            ("left out", self.left_out),
-        ):
-            median, decile, largest, rms = map(unit, lengths)
-            rows[name] = f"median {median}, 90 % {decile}, largest {largest}, rms {rms}"
-        success = "successful" if self.successful else "not successful"
-        rows["convergence"] = f"{success}, {self.steps} steps"
-        if self.minima is not None and self.minima > 1:
-            higher = f"{100 * self.second_minimum:.2g} %"
-            rows["starts"] = (
-                f"disagree: {self.minima} minima, the second {higher} higher"
-            )
-        rows["off the manifold"] = f"{self.off_manifold:.1e}"
-        if self.unresolved:
-            rows["basis"] = (
-                f"{self.unresolved} inputs lie closer than centres and lambda resolve"
-            )
-        return rows | {f"note {i}": note for i, note in enumerate(self.notes, 1)}
-
-    def _scatter(self, unit: "_Unit") -> dict[str, str]:
-        rows = {}
-        if self.phi is not None:
-            rows["phi (reduced chi^2)"] = f"{self.phi:.3g}"
-        if self.tau is not None:
-            rows["tau (scatter added)"] = unit(self.tau)
-        if self.log_densities is not None:
-            factor, additive = self.log_densities
-            other = f"tau {additive:.3f}" if self.tau else f"as given {additive:.3f}"
-            better = "phi" if self.likelier == "factor" else other.rsplit(" ", 1)[0]
-            rows["log density, left out"] = (
-                f"phi {factor:.3f}, {other}: {better} likelier"
-            )
-        return rows
+        return rows_of(self, degrees)
 
     def worst_table(self, degrees: float | None = None) -> list[list[str]]:
         """Rows of the worst five, after those of their names."""
-        unit, worst = _Unit(degrees), self.worst
-        lines = [
-            ["index", "input", "residual", "left out", "in sigma", "weight", "lever"]
-        ]
-        for i, x, residual, left_out, z, weight, h in zip(*worst, strict=True):
-            place = listed(np.array([float(f"{v:.5g}") for v in np.ravel(x)]))
-            place = place[1:-1] if np.size(x) == 1 else place
-            numbers = f"{z:.2f}", f"{weight:.2f}", f"{h:.2f}"
-            lines.append([str(i), place, unit(residual), unit(left_out), *numbers])
-        return lines
+        return worst_rows(self, degrees)
 
     def __str__(self) -> str:
-        rows, table = self.rows(), self.worst_table()
-        width = max(map(len, rows))
-        lines = [f"{name:<{width}}  {value}" for name, value in rows.items()]
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        title = f"worst {len(table) - 1} data"
-        return "\n".join([*lines, "", title, *(_aligned(row, widths) for row in table)])
-
-
-class _Unit(NamedTuple):
-    """How lengths are written."""
-
-    degrees: float | None
-
-    def __call__(self, length: float) -> str:
-        if self.degrees is None:
-            return f"{length:.3g}"
-        return f"{length * self.degrees:.3g}°"
-
-
-def _aligned(cells: list[str], widths: list[int]) -> str:
-    return "  ".join(f"{c:>{w}}" for c, w in zip(cells, widths, strict=True))
+        return text_of(self.rows(), self.worst_table())
 
 
 def summary_of(model: Any) -> Summary:

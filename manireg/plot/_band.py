@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
-RIM = 9  # points along the rim of the globe where a region is cut off
+RIM = 33  # points along the rim of the globe where a region is cut off
 
 
 def spread_along(

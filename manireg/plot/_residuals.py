@@ -33,7 +33,7 @@ def residuals(model: Any) -> Figure:
     summary = model.summary()
     each, worst = summary.each, np.argsort(-summary.each.standardised)[:5]
     single = each.inputs.ndim == 1 or each.inputs.size == len(each.inputs)
-    at = each.inputs.ravel() if single else each.index
+    at = each.inputs.ravel() if single else each.data
     order = np.argsort(each.standardised)
     share = (np.arange(len(order)) + 0.5) / len(order)
     expected = np.zeros(len(order))
@@ -59,9 +59,9 @@ def residuals(model: Any) -> Figure:
         _dots(pull, each.standardised, each.leverages, worst)
         pull.set(xlabel="standardised residual", ylabel="leverage")
         pull.set(xlim=(0, None), ylim=(0, None))
-        _labels(along, at, lengths, each.index, worst)
-        _labels(quantiles, expected, squares, each.index, worst)
-        _labels(pull, each.standardised, each.leverages, each.index, worst)
+        _labels(along, at, lengths, each.data, worst)
+        _labels(quantiles, expected, squares, each.data, worst)
+        _labels(pull, each.standardised, each.leverages, each.data, worst)
         return picture
 
 

@@ -1,6 +1,7 @@
 """What a fitted map says of itself, against dense smoothing splines and formulas."""
 
 import dataclasses
+import functools
 import warnings
 
 import equinox as eqx
@@ -48,21 +49,21 @@ def test_numbers_are_those_of_a_smoothing_spline(data, fitted, hat):
     r, h, edf = hat @ y - y, np.diag(hat), np.trace(hat)
     sigma = np.sqrt(r @ r / (K - edf))
     assert (found.k, found.n, found.order) == (K, 1, 2)
-    assert found.spread.edf == pytest.approx(edf, rel=1e-4)
-    assert (found.spread.dof, found.spread.null) == (K, 2)
+    assert found.edf == pytest.approx(edf, rel=1e-4)
+    assert (found.dof, found.spread.null) == (K, 2)
     assert found.sigma == pytest.approx(sigma, rel=1e-4)
-    close = {"rtol": 1e-4, "atol": 1e-5}
+    close = functools.partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-5)
     each = found.each
-    np.testing.assert_array_equal(each.index, np.arange(K))
+    np.testing.assert_array_equal(each.data, np.arange(K))
     np.testing.assert_allclose(each.inputs, data[0])
-    np.testing.assert_allclose(each.leverages, h, **close)
-    np.testing.assert_allclose(each.residuals, np.abs(r), **close)
-    np.testing.assert_allclose(each.left_out, np.abs(r) / (1 - h), **close)
+    close(each.leverages, h)
+    close(each.residuals, np.abs(r))
+    close(each.left_out, np.abs(r) / (1 - h))
     standardised = np.abs(r) / np.sqrt(1 - h) / sigma
-    np.testing.assert_allclose(each.standardised, standardised, rtol=1e-4, atol=1e-5)
+    close(each.standardised, standardised, atol=1e-4)
     worst = np.argsort(-standardised)[:5]
-    np.testing.assert_array_equal(found.worst.index, worst)
-    np.testing.assert_allclose(found.worst.leverages, h[worst], **close)
+    np.testing.assert_array_equal(found.worst.data, worst)
+    close(found.worst.leverages, h[worst])
     lengths = np.abs(r) / (1 - h)
     assert found.left_out.rms == pytest.approx(np.sqrt(np.mean(lengths**2)), rel=1e-4)
     assert found.left_out.largest == pytest.approx(lengths.max(), rel=1e-4)
@@ -89,7 +90,7 @@ def test_text(fitted):
     table = lines[title + 1 :]
     assert len(table) == 6 and len({len(line) for line in table}) == 1
     worst = fitted.summary().worst
-    assert [int(line.split()[0]) for line in table[1:]] == list(worst.index)
+    assert [int(line.split()[0]) for line in table[1:]] == list(worst.data)
     # values start in one column
     start = {len(n) + len(v) - len(v.lstrip()) for n, v in _pairs(lines[: title - 1])}
     assert len(start) == 1
@@ -121,8 +122,8 @@ def test_order_and_weights_of_zero(data):
     model = mr.fit(INTERVAL, mr.Euclidean(1), *backwards, LAM, weights=weights)
     found = model.summary()
     assert found.k == K - 2 == len(found.weights) and found.spread.dof == K - 2
-    assert not {2, 5} & {*found.each.index}
-    np.testing.assert_allclose(found.each.inputs, x[::-1][found.each.index])
+    assert not {2, 5} & {*found.each.data}
+    np.testing.assert_allclose(found.each.inputs, x[::-1][found.each.data])
     assert model.data_weights.shape == (K,)
 
 
@@ -141,7 +142,7 @@ def test_weights_of_huber(data, huber):
     expected = np.minimum(1, 1.3 * 0.1 / r)
     np.testing.assert_allclose(model.data_weights, expected, rtol=1e-6)
     found = model.summary()
-    assert found.worst.index[0] == 12 and found.worst.weights[0] < 0.15
+    assert found.worst.data[0] == 12 and found.worst.weights[0] < 0.15
     np.testing.assert_allclose(found.each.weights, expected, rtol=1e-6)
     assert found.loss == "Huber(c=1.3)" and found.scale == pytest.approx(0.1)
     text = str(found)
@@ -258,6 +259,6 @@ def test_many_data_off_curves_are_drawn(monkeypatch):
     y = np.asarray(x[:, :1] * x[:, 1:])
     model = mr.fit(mr.Box([0, 0], [1, 1]), mr.Euclidean(1), x, y, 1e-4, centres=20)
     found = model.summary()
-    assert found.k == 30 and len(found.each.index) == 20
-    np.testing.assert_allclose(found.each.inputs, np.asarray(x)[found.each.index])
+    assert found.k == 30 and len(found.each.data) == 20
+    np.testing.assert_allclose(found.each.inputs, np.asarray(x)[found.each.data])
     assert "[" in found.worst_table()[1][1]
