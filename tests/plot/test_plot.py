@@ -9,7 +9,7 @@ import trimesh
 from matplotlib import colormaps
 from matplotlib._pylab_helpers import Gcf
 from matplotlib.image import imread
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 
 import manireg as mr
 from manireg import plot
@@ -263,23 +263,24 @@ def test_coordinates_curves():
 
 @pytest.mark.parametrize("target", [mr.Euclidean(3), mr.Sphere(2)], ids=["R3", "S2"])
 def test_coordinates_with_bands(pole_path, target):
-    """Of each coordinate, the standard deviation from random maps."""
+    """Of each coordinate, nine tenths of random maps are below the upper end."""
     x, y, model = pole_path
     if target.dim == 3:
         model = mr.fit(mr.Interval(0, 1), target, x, y, 1e-4)
     picture: Any = plot.coordinates(model, x, y, level=0.8)
-    at = np.linspace(0, 1, 200)[::20]
+    at = np.linspace(0, 1, 200)[20::20]  # at the end random maps leave N
     drawn = model.posterior().sample(jax.random.key(0), 300)
-    spread = np.std([np.asarray(one(at)) for one in drawn], axis=0)
+    values = np.array([np.asarray(one(at)) for one in drawn])
+    spread = np.ptp(np.quantile(values, [0.1, 0.9], axis=0), axis=0) / 2
     curves = np.asarray(model(at)).T
     for panel, expected, middle in zip(picture.axes, spread.T, curves, strict=True):
         (band,) = panel.collections
         corners = band.get_paths()[0].vertices
-        for t, r, m in zip(at, norm.ppf(0.9) * expected, middle, strict=True):
+        for t, r, m in zip(at, expected, middle, strict=True):
             heights = corners[np.abs(corners[:, 0] - t) < 1e-9, 1]
             middle_of = (heights.min() + heights.max()) / 2
             assert middle_of == pytest.approx(m, abs=1e-6)
-            assert np.ptp(heights) / 2 == pytest.approx(r, rel=0.2)
+            assert np.ptp(heights) / 2 == pytest.approx(r, rel=0.3)
 
 
 def test_bands_are_of_one_input():
