@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from .._objective.arguments import argument
 from .._objective.problem import Problem
 from .._solver.at_minimum import at_minimum
 from .._solver.minimise import minimise, newton_minimiser
@@ -55,9 +54,7 @@ def bootstrap(model: RegressionMap, key: PRNGKeyArray, m: int) -> list[Regressio
     lanes = np.concatenate([y, np.repeat(y[:, :1], size - len(flat), axis=1)], axis=1)
     shared = found.given, model.lam, model.coefficients, found.solvers
     found = jax.device_put(np.asarray(sweep(_refitted, lanes, shared)))
-    alone = eqx.tree_at(
-        lambda f: f.problem, model, None, is_leaf=lambda a: a is None
-    )
+    alone = eqx.tree_at(lambda f: f.problem, model, None, is_leaf=lambda a: a is None)
     return [eqx.tree_at(lambda f: f.coefficients, alone, w) for w in found]
 
 

@@ -21,7 +21,9 @@ from .noise import Scatter, renewed
 
 ROUNDS = 10
 SETTLED = 0.02  # relative change of a precision that is not worth another fit
-EXACT = 1e-2  # of the noise found: what outputs without `sigma` are taken to be exact to
+EXACT = (
+    1e-2  # of the noise found: what outputs without `sigma` are taken to be exact to
+)
 
 
 def with_effective_variance(
@@ -77,8 +79,12 @@ def _widened(
     Pv = np.einsum("kij,kj->ki", P, v)
     variance = errors.deviation**2
     share = variance / (1 + variance * np.sum(v * Pv, axis=1))
-    values, vectors = np.linalg.eigh(P - share[:, None, None] * Pv[:, :, None] * Pv[:, None])
-    return Noise(jax.device_put(np.maximum(values, 0.0)), jax.device_put(frames @ vectors))
+    values, vectors = np.linalg.eigh(
+        P - share[:, None, None] * Pv[:, :, None] * Pv[:, None]
+    )
+    return Noise(
+        jax.device_put(np.maximum(values, 0.0)), jax.device_put(frames @ vectors)
+    )
 
 
 def _in_frames(

@@ -132,7 +132,9 @@ def _given(
 ) -> tuple[RegressionMap, Again]:
     """The fit at a lambda, and how to repeat it near a map."""
     minimise = solve_geodesic if distance == "geodesic" else solve
-    model = minimise(blunted(make_problem(source, target, x, y, **data)), lam, **options)
+    model = minimise(
+        blunted(make_problem(source, target, x, y, **data)), lam, **options
+    )
     options = {**options, "starts": ()}
 
     def again(problem, model):

@@ -57,7 +57,9 @@ class ModelInformation(AbstractInformation):
         for start in range(0, len(rows), size):
             some = slice(start, start + size)
             count = len(rows[some])
-            values = filled(rows[some], size).reshape(*(size, rows.shape[1]), -1, functions)
+            values = filled(rows[some], size).reshape(
+                *(size, rows.shape[1]), -1, functions
+            )
             columns = _columns(filled(near[some], size), functions)
             arrays = jax.device_put((values, columns, np.array(count)))
             found = _joint(self.hessian, Elements(*arrays), self.solvers)
@@ -67,7 +69,7 @@ class ModelInformation(AbstractInformation):
         return whole.reshape(len(whole), both, both)
 
     def draws(self, key, m):
-        return draws(self.stage, self.w, self.hessian, self.solvers, key, m)
+        return draws(self.stage, self.w, self.solvers, key, m)
 
     def sampling(
         self, rows: Float[np.ndarray, "q J LC"], near: Int[np.ndarray, "q L"]

@@ -123,7 +123,9 @@ class Posterior(eqx.Module):
         **Raises** ValueError as calling the map does, for a level not between 0 and 1, and
         for a band of new data."""
         if simultaneous and new:
-            raise ValueError("region: `new` data are regions one by one; leave out one.")
+            raise ValueError(
+                "region: `new` data are regions one by one; leave out one."
+            )
         centre, jets, frames = self._values(x)
         covariance = self._pushed(_in_frame, jets, frames)[1]
         n = covariance.shape[1]
@@ -161,7 +163,9 @@ class Posterior(eqx.Module):
         **Raises** ValueError for other targets, and names of axes."""
         target = self.model.target
         if not isinstance(target, SpecialOrthogonal) or target.point_shape != (3, 3):
-            raise ValueError("angular_velocity: only of maps into SpecialOrthogonal(3).")
+            raise ValueError(
+                "angular_velocity: only of maps into SpecialOrthogonal(3)."
+            )
         angular_velocity(np.eye(3), np.eye(3), axes)  # raises for other names
         _, jets, _ = self._values(x, order=1)
         read = _turn_in_space if axes == "space" else _turn_in_body
@@ -193,7 +197,9 @@ class Posterior(eqx.Module):
             check_curve(self.model.source, "velocity")
         flat, _ = check_inputs(self.model.source, x)
         source = self.model.source
-        centre = self.model(source.from_ambient(flat))  # which looks for uncovered points
+        centre = self.model(
+            source.from_ambient(flat)
+        )  # which looks for uncovered points
         jets = jets_at(self.model, np.asarray(flat), order)
         return centre, jets, tangent_frames(self.model.target, np.asarray(centre))
 
