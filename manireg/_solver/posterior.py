@@ -18,6 +18,7 @@ from ..manifolds import SpecialOrthogonal, Sphere
 from ..manifolds._defaults.frames import tangent_frames
 from .at_minimum import at_minimum, lambda_error
 from .derivatives import check_curve, tangent_of_curve
+from .diagnostics import diagnostics
 from .information import (
     AbstractInformation,
     ModelInformation,
@@ -26,7 +27,7 @@ from .information import (
 from .jet_covariances import JetsAt, displaced, jets_at, pushed
 from .minimise import gauge, stage_of
 from .readings import angular_velocity, sphere_motion
-from .regions import Region, quantile_radius
+from .regions import Region, conformal_radius, quantile_radius
 from .spread import Spread
 
 DRAWS = 1000  # maps that a band is made of
@@ -75,6 +76,8 @@ class Posterior(eqx.Module):
     spread: Spread
     scale: float
     r"""$2 \hat\sigma^2 / k$."""
+    standardised: Float[np.ndarray, " k"]
+    """Lengths of the residuals of left-out data in standard deviations of a new datum."""
     along_lambda: Float[Array, "KC t"] | None
     r"""What one standard deviation of $\log \lambda$ does to the coefficients; None where
     lambda is taken as known."""
@@ -118,7 +121,10 @@ class Posterior(eqx.Module):
           probability: its radius is the quantile of the largest deviation of 1,000 drawn
           maps (`key`, default `jax.random.key(0)`).
         - `new`: True: where a new datum of mean precision would be; a number: one with
-          that standard deviation.
+          that standard deviation. The radius is that within which as many of the data lie
+          in the fits without them (conformal: Vovk et al. 2005; by the leverages), so that
+          tails of the noise heavier than Gaussian are in it; of chi-squared where the data
+          are too few for the level.
 
         **Raises** ValueError as calling the map does, for a level not between 0 and 1, and
         for a band of new data."""
@@ -135,6 +141,7 @@ class Posterior(eqx.Module):
         if new:
             spread = self.spread.variance if new is True else float(new) ** 2
             covariance = covariance + spread * np.eye(n)
+            radius = conformal_radius(level, self.standardised, radius)
         return Region(self.model.target, centre, covariance, frames, radius, level)
 
     def sample(self, key: PRNGKeyArray, m: int) -> list[Any]:
@@ -243,7 +250,9 @@ def posterior_of(model: Any, smoothing_known: bool) -> Posterior:
         )
     scale = 2 * variance / number_of_data(problem)
     along = None if smoothing_known else lambda_error(model, found)
-    return Posterior(model, information, found.spread, scale, along)
+    each = diagnostics(problem, found, float(np.sqrt(variance)))
+    parts = found.spread, scale, each.standardised, along
+    return Posterior(model, information, *parts)
 
 
 def _slope(target, psi, frame):

@@ -94,6 +94,14 @@ def quantile_radius(level: float, n: int) -> float:
     return math.sqrt(chi2.ppf(level, n))
 
 
+def conformal_radius(
+    level: float, lengths: Float[np.ndarray, " k"], otherwise: float
+) -> float:
+    """The least radius that holds a share `level` of k data and one more."""
+    rank = math.ceil((len(lengths) + 1) * level)
+    return float(np.sort(lengths)[rank - 1]) if rank <= len(lengths) else otherwise
+
+
 def _mahalanobis(target, centre, point, frame, covariance):
     log = target.log(centre, point.reshape(target.point_shape)).ravel()
     z = frame.T @ log
