@@ -8,6 +8,14 @@ from rich.console import Console
 from rich.table import Table
 
 from .._input.shown import shown
+from .._solver.at_minimum import at_minimum
+from .._solver.posterior import Posterior
+
+CHOSEN = {
+    "error": "cross-validation",
+    "gcv": "generalised cross-validation",
+    "reml": "restricted likelihood",
+}
 
 
 def report(
@@ -20,23 +28,18 @@ def report(
     more: dict[str, str] | None = None,
     unit: str = "",
     order: int = 2,
+    criterion: str = "error",
 ) -> None:
     """Of a fitted map: for `manireg demo` and `manireg fit`. `unit` is that of
     lambda, where it is known, `order` that of the energy."""
-
-    def error(distance) -> str:
-        scale = 1.0 if degrees is None else degrees
-        return f"{float(distance) * scale:.3g}" + (
-            "" if degrees is None else " degrees"
-        )
-
+    error = lambda distance: in_degrees(distance, degrees)
     rows = {"data": data}
-    chosen = "" if cv is None else "(cross-validation)"
-    if cv is not None and bool(cv.on_edge):
-        chosen = "(cross-validation, at the end of the grid)"
+    by, chosen = CHOSEN[criterion], ""
+    if cv is not None:
+        chosen = f"({by}, at the end of the grid)" if cv.on_edge else f"({by})"
     if cv is not None and len(cv.paths) > 1:
         tried = ", ".join(str(p) for p in cv.paths)
-        rows["order"] = f"{order} (of {tried}, cross-validation)"
+        rows["order"] = f"{order} (of {tried}, {by})"
     rows["lambda"] = " ".join(filter(None, [shown(float(model.lam)), unit, chosen]))
     if cv is not None:
         rows["held-out error, mean"] = error(cv.score)
@@ -47,6 +50,51 @@ def report(
     rows["off the manifold"] = f"{float(model.energies.off_manifold):.1e}"
     rows["time"] = f"{seconds:.1f} s"
     print_rows(rows, files)
+
+
+def noise_rows(
+    model: Any, posterior: Posterior, degrees: float | None
+) -> dict[str, str]:
+    """How data scatter about the map, and which of them were let go."""
+    spread, problem = posterior.spread, model.problem
+    precision, misfit = problem.precision, problem.misfit
+    error = lambda distance: in_degrees(distance, degrees)
+    rows = {"effective parameters (edf)": f"{spread.edf:.1f} of {spread.dof}"}
+    found = np.sqrt(spread.found) if misfit.squared else misfit.scale
+    rows["noise (sigma_hat)"] = error(found)
+    if spread.precision is not None:
+        tau = float(precision.scatter)
+        rows["reduced chi^2, as given"] = f"{precision.phi:.3g}"
+        rows["additional scatter (tau)"] = error(tau)
+        if tau > 0 and precision.log_densities is not None:
+            rows["left-out data are likelier"] = _likelier(*precision.log_densities)
+    if not misfit.squared:
+        seen = at_minimum(problem, model).leverages.rho[:, 1]
+        rows["data of less than half their weight"] = (
+            f"{np.sum(seen < 0.5)} of {len(seen)}"
+        )
+    return rows
+
+
+def theta_row(name: str, radii: np.ndarray) -> dict[str, str]:
+    """Of the column `name`, radii of regions in degrees."""
+    low, middle, high = np.quantile(radii, [0, 0.5, 1])
+    text = f"{low:.3g} to {high:.3g} degrees, median {middle:.3g}: "
+    return {name: text + "uncertainty of the path, not scatter of poles"}
+
+
+def in_degrees(distance: Any, degrees: float | None) -> str:
+    """`degrees` in a unit of distance; None where it has none."""
+    if degrees is None:
+        return f"{float(distance):.3g}"
+    return f"{float(distance) * degrees:.3g} degrees"
+
+
+def _likelier(factor: float, additive: float) -> str:
+    better, gain = "with tau", additive - factor
+    if gain < 0:
+        better = "with all sigma times the root of chi^2 (--scatter factor)"
+    return f"{better}, by {abs(gain):.2g} in log density"
 
 
 def print_rows(rows: dict[str, str], files: list[Path]) -> None:

@@ -1,5 +1,6 @@
 """The one-call path."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -97,7 +98,29 @@ def fit(
         "tension": tension,
         "order": order,
     }
-    _check(lam, order, distance, folds, loss)
+    choice = {"distance": distance, "criterion": criterion, "folds": folds}
+    found = chosen_fit(source, target, x, y, lam, data, scatter, **choice, **options)
+    return found[0]
+
+
+def chosen_fit(
+    source: AbstractSource,
+    target: AbstractManifold,
+    x: Numbers,
+    y: Numbers,
+    lam: Numbers | None,
+    data: dict[str, Any],
+    scatter: Scatter = "additive",
+    *,
+    distance: Literal["chord", "geodesic"] = "chord",
+    criterion: CriterionName = "error",
+    folds: int | None = None,
+    **options,
+) -> tuple[RegressionMap, CrossValidation | None]:
+    """What `fit` does, with the last choice of lambda; None where it was given. `data`:
+    arguments of `make_problem`, and the order or orders."""
+    data = {"order": 2, "loss": "squared"} | data
+    _check(lam, data["order"], distance, folds, data["loss"], criterion)
     check_scatter(scatter)
     if lam is not None:
         problem = blunted(make_problem(source, target, x, y, **data))
@@ -107,14 +130,12 @@ def fit(
         again: Again = lambda problem, model: minimise(
             problem, lam, **options, warm=model.coefficients
         )
-        return with_estimated_noise(model, again, scatter)
+        return with_estimated_noise(model, again, scatter), None
     if folds is not None:
-        model = cross_validate(
-            source, target, x, y, folds=folds, **data, **options
-        ).model
-        options = {**options, "progress": False}
-        again = lambda problem, _: cross_validate(problem, folds=folds, **options).model
-        return with_estimated_noise(model, again, scatter)
+        cv = cross_validate(source, target, x, y, folds=folds, **data, **options)
+        options["progress"] = False
+        choose = lambda problem, _: cross_validate(problem, folds=folds, **options)
+        return _with_noise(cv, choose, scatter)
 
     judge, lams = criterion_of(criterion), options.pop("lams", None)
 
@@ -131,21 +152,35 @@ def fit(
         return along_path(score, lams, progress, above=CALLS)
 
     first = lambda problem, lams: chosen(blunted(problem), lams, **options)
-    model = over_orders(first, source, target, x, y, lams, **data).model
+    cv = over_orders(first, source, target, x, y, lams, **data)
     options["progress"] = False
-    again = lambda problem, model: _checked(chosen(problem, lams, model, **options))
-    return with_estimated_noise(checked(model, STEPS_TO_THE_END), again, scatter)
+    choose = lambda problem, model: chosen(problem, lams, model, **options)
+    return _with_noise(cv, choose, scatter)
+
+
+def _with_noise(
+    cv: CrossValidation,
+    choose: Callable[[Problem, RegressionMap], CrossValidation],
+    scatter: Scatter,
+) -> tuple[RegressionMap, CrossValidation]:
+    """The map of `cv`, chosen again until its noise stays, and the last choice."""
+
+    def again(problem: Problem, model: RegressionMap) -> RegressionMap:
+        nonlocal cv
+        cv = dataclasses.replace(choose(problem, model), others=cv.others)
+        return checked(cv.model, STEPS_TO_THE_END)
+
+    model = checked(cv.model, STEPS_TO_THE_END)
+    return with_estimated_noise(model, again, scatter), cv
 
 
 Again = Callable[[Problem, RegressionMap], RegressionMap]
-CALLS = 6  # from a choice along the path to the user's line
+CALLS = 7  # from a choice along the path to the user's line
 
 
-def _checked(cv: CrossValidation) -> RegressionMap:
-    return checked(cv.model, STEPS_TO_THE_END)
-
-
-def _check(lam, order: Order, distance: str, folds: int | None, loss) -> None:
+def _check(
+    lam, order: Order, distance: str, folds: int | None, loss, criterion: str
+) -> None:
     if distance not in ("chord", "geodesic") or (
         distance == "geodesic" and lam is None
     ):
@@ -159,6 +194,11 @@ def _check(lam, order: Order, distance: str, folds: int | None, loss) -> None:
         raise ValueError(
             "folds: each would have robust fits to start anew; leave `folds` out, to "
             "choose lambda by one fit of all data."
+        )
+    if folds is not None and criterion != "error":
+        raise ValueError(
+            f"folds: they have an error, and {criterion!r} is of one fit of all data; "
+            "leave out one of them."
         )
     if lam is not None and not isinstance(order, int):
         raise ValueError(

@@ -79,7 +79,7 @@ def with_estimated_noise(
             f"fit: the noise has not settled in {ROUNDS} rounds (its scale went from "
             f"{scales[0]:.3g} to {scales[1]:.3g} in the last one): there may be two "
             "explanations of these data. Give `sigma`, or a `lam`.",
-            stacklevel=4,
+            stacklevel=5,
         )
     if first is None:
         return model

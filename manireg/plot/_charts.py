@@ -75,6 +75,7 @@ def coordinates(
     *,
     names: tuple[str, ...] | None = None,
     label: str | tuple[str, ...] = "input",
+    level: float | None = None,
 ) -> Figure:
     """Each coordinate of data `y` (k, ...) and `model` against one or two inputs `x`,
     (k,) or (k, 2), a panel each: curves for one input, maps for two, with the data as

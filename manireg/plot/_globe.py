@@ -163,6 +163,7 @@ def sphere_path(
     a95: ArrayLike | None = None,
     view: ArrayLike | None = None,
     label: str = "input",
+    level: float | None = None,
     ax: Axes | None = None,
 ) -> Figure:
     """A curve on the sphere S^2: data `y` (k, 3) at scalar inputs `x` (k,), the path of
