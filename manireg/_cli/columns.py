@@ -128,7 +128,9 @@ def numbers(
     return np.array(texts, dtype=object).astype(float).T
 
 
-def refuse(table: TextTable, name: str, bad: np.ndarray, demand: str, cure: str) -> None:
+def refuse(
+    table: TextTable, name: str, bad: np.ndarray, demand: str, cure: str
+) -> None:
     """Raises ValueError that names the first row where `bad`."""
     if not bad.any():
         return

@@ -53,8 +53,8 @@ def demo(
         poles = _poles(plate.lower())
         start = time.perf_counter()
         x, y = poles.ages, poles.directions
-        source, given = mr.Interval(x[0], x[-1]), {"sigma": mr.from_a95(poles.a95)}
-        given["loss"] = loss_of(LOSS)
+        source = mr.Interval(x[0], x[-1])
+        given = {"sigma": mr.from_a95(poles.a95), "loss": loss_of(LOSS)}
         problem = source, mr.Sphere(2), x, y
         model, cv = chosen_fit(*problem, None, given, criterion=CRITERION)
         posterior = model.posterior()
@@ -63,7 +63,9 @@ def demo(
         seconds = time.perf_counter() - start
         name = f"running mean, {WINDOW:g} million years"
         draw_poles(model, region, poles, running_mean(poles), name, out)
-        data = f"{len(x)} poles of {plate}, {shown(x[0])} to {shown(x[-1])} million years"
+        data = (
+            f"{len(x)} poles of {plate}, {shown(x[0])} to {shown(x[-1])} million years"
+        )
         more = noise_rows(model, posterior, np.degrees(1.0))
         more |= theta_row(f"theta{100 * LEVEL:g}", region.theta95)
         fitted = model, cv, np.degrees(1.0), seconds

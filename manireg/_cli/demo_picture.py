@@ -26,7 +26,7 @@ def draw_poles(
     """`pieces`: of a line beside the path, called `name`."""
     with matplotlib().rc_context(STYLE):
         from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import ListedColormap, Normalize
+        from matplotlib.colors import ListedColormap, Normalize, to_hex
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
@@ -51,12 +51,16 @@ def draw_poles(
         )
         bar.set_label("age (million years)")
         bar.outline.set_linewidth(0.4)
-        middle = colour.to_rgba(ages.mean())
+        middle: Any = colour.to_rgba(ages)[len(ages) // 2]
+        line, band = to_hex(middle), to_hex(_pale(middle))
+        region_of = f"where it is, {100 * region.level:g} %"
         marks = [
-            Line2D([], [], color=middle, lw=2.2, label="path"),
-            Patch(color=_pale(middle), label=f"where it is, {100 * region.level:g} %"),
+            Line2D([], [], color=line, lw=2.2, label="path"),
+            Patch(color=band, label=region_of),
             Line2D([], [], color=DARK, lw=0.6, marker=".", ms=4, label=name),
-            Line2D([], [], color=middle, marker="o", ls="", ms=3, alpha=0.5, label="poles"),
+            Line2D(
+                [], [], color=line, marker="o", ls="", ms=3, alpha=0.5, label="poles"
+            ),
         ]
         row = {"ncols": 4, "columnspacing": 1.2, "handlelength": 1.6}
         drawn.figure.legend(handles=marks, loc="outside lower center", **row)
@@ -70,7 +74,8 @@ def _band(drawn: Globe, region: Region, colours: np.ndarray) -> None:
 
     outlines = np.asarray(region.outline())
     place, near = drawn.flatten(outlines)
-    rim = place / np.linalg.norm(place, axis=-1, keepdims=True)
+    far = np.linalg.norm(place, axis=-1, keepdims=True)
+    rim = place / np.maximum(far, 1e-9)
     for front, order in ((True, 1.8), (False, 0.5)):
         own = near if front else ~near
         some = own.any(axis=1)
@@ -82,7 +87,6 @@ def _band(drawn: Globe, region: Region, colours: np.ndarray) -> None:
         )
 
 
-def _pale(colour, share: float = 0.35) -> np.ndarray:
+def _pale(colour: np.ndarray, share: float = 0.35) -> Any:
     """Mixed with white, opaque."""
-    colour = np.asarray(colour, float)
     return np.concatenate([1 - share * (1 - colour[..., :3]), colour[..., 3:]], axis=-1)

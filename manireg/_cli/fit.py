@@ -179,7 +179,9 @@ def fit(
                     f"{data}: input column `{axis.name}` is constant, {constant}."
                 )
         of_inputs = noise.of_inputs(table, axes)
-        ends = [of_inputs[end][:, None] for end in ("x_min", "x_max") if end in of_inputs]
+        ends = [
+            of_inputs[end][:, None] for end in ("x_min", "x_max") if end in of_inputs
+        ]
         everything = np.concatenate([x, queries, *ends])
         lower, upper = everything.min(0), everything.max(0)
         one = len(inputs) == 1

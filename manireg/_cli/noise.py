@@ -133,7 +133,9 @@ class NoiseColumns(NamedTuple):
             if name is not None:
                 _check_sphere(option, there)
                 what = "confidence radii" if option == "--a95" else "concentrations"
-                return {"sigma": np.asarray(convert(_positive(table, option, name, what)))}
+                return {
+                    "sigma": np.asarray(convert(_positive(table, option, name, what)))
+                }
         return {}
 
     def of_inputs(self, table: TextTable, axes: list[Axis]) -> dict[str, np.ndarray]:

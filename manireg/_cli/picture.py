@@ -33,9 +33,7 @@ def draw(
     elif one and len(there.columns) < y[0].size == 2:
         picture = _angles(model, posterior, x, there, labels[0], share)
     else:
-        picture = plot.coordinates(
-            model, x, y, names=names, label=labels, level=share
-        )
+        picture = plot.coordinates(model, x, y, names=names, label=labels, level=share)
     plot.save(picture, path)
 
 

@@ -9,7 +9,6 @@ from rich.table import Table
 
 from .._input.shown import shown
 from .._solver.at_minimum import at_minimum
-from .._solver.posterior import Posterior
 
 CHOSEN = {
     "error": "cross-validation",
@@ -52,9 +51,7 @@ def report(
     print_rows(rows, files)
 
 
-def noise_rows(
-    model: Any, posterior: Posterior, degrees: float | None
-) -> dict[str, str]:
+def noise_rows(model: Any, posterior: Any, degrees: float | None) -> dict[str, str]:
     """How data scatter about the map, and which of them were let go."""
     spread, problem = posterior.spread, model.problem
     precision, misfit = problem.precision, problem.misfit
@@ -79,8 +76,8 @@ def noise_rows(
 def theta_row(name: str, radii: np.ndarray) -> dict[str, str]:
     """Of the column `name`, radii of regions in degrees."""
     low, middle, high = np.quantile(radii, [0, 0.5, 1])
-    text = f"{low:.3g} to {high:.3g} degrees, median {middle:.3g}: "
-    return {name: text + "uncertainty of the path, not scatter of poles"}
+    text = f"{low:.3g} to {high:.3g} degrees, median {middle:.3g}"
+    return {f"{name} (path, not poles)": text}
 
 
 def in_degrees(distance: Any, degrees: float | None) -> str:

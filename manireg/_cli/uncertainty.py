@@ -1,23 +1,24 @@
 """How sure predictions are, as columns of a table."""
 
 import warnings
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from .._solver.posterior import Posterior
 from ..manifolds import Sphere
 from .tables import Target, TargetName
 
 
 def uncertainty(
-    posterior: Posterior,
+    posterior: Any,
     target: TargetName,
     there: Target,
     x: np.ndarray,
     level: float,
 ) -> tuple[list[str], Float[np.ndarray, "q m"]]:
-    r"""Names and columns at q inputs, in the unit of the outputs or in degrees:
+    r"""Names and columns at q inputs, in the unit of the outputs or in degrees, of a
+    `Posterior`:
 
     - on $S^2$, semi-axes of the ellipse that holds the path with `level` percent, the
       azimuth of the longer one (from north, clockwise), and the radius of the circle as

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from .._input.numbers import Numbers
 from .._objective.problem import Problem, make_problem
-from .._objective.robust import AbstractLoss
+from .._objective.robust import AbstractLoss, Squared, check_loss
 from .._solver.geodesic_loss import solve_geodesic
 from .._solver.model import RegressionMap
 from .._solver.solve import checked, solve
@@ -190,7 +190,7 @@ def _check(
         )
     if folds is not None and lam is not None:
         raise ValueError("folds: there is nothing to choose where `lam` is given.")
-    if folds is not None and loss != "squared":
+    if folds is not None and not isinstance(check_loss(loss), Squared):
         raise ValueError(
             "folds: each would have robust fits to start anew; leave `folds` out, to "
             "choose lambda by one fit of all data."
