@@ -68,7 +68,7 @@ def test_demo(tmp_path):
     printed = " ".join(result.output.split())
     assert "18 poles of east_antarctica, 1 to 515 million years" in printed
     assert "(restricted likelihood)" in printed and "reduced chi^2" in printed
-    low, high = re.search(r"poles\) ([\d.]+) to ([\d.]+) degrees", printed).groups()
+    ((low, high),) = re.findall(r"poles\) ([\d.]+) to ([\d.]+) degrees", printed)
     assert 1 < float(low) < float(high) < 90
     assert imread(out).shape[1] > 800
 

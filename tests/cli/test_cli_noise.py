@@ -244,6 +244,7 @@ def test_outliers_are_counted(tmp_path, monkeypatch):
     assert "data of less than half their weight 2 of 15" in printed
 
 
+@pytest.mark.slow
 def test_angles(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     sigma = 0.1 * GIVEN
@@ -266,9 +267,9 @@ def posterior_of(covariance, frame, points):
 
 def test_rotations_about_the_axes_of_space():
     """Rotations drawn at random about a mean turn about each axis as the columns say."""
-    angles = np.radians([1.0, 2.0, 4.0])
+    angles = np.radians([0.1, 0.2, 0.4])
     mean = Rotation.from_rotvec([0.3, -1.2, 0.5])
-    drawn = Rotation.from_rotvec(angles * RNG.normal(size=(4000, 3)) * 0.1)
+    drawn = Rotation.from_rotvec(angles * RNG.normal(size=(4000, 3)))
     about = (drawn * mean).as_matrix()
     so3 = mr.SpecialOrthogonal(3)
     # (e x) R, of length sqrt 2
@@ -276,8 +277,8 @@ def test_rotations_about_the_axes_of_space():
     frame = np.stack(tangent, axis=-1).reshape(1, 9, 3)
     turn = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
     frame = frame @ turn
-    logs = np.asarray(so3.log(jnp.asarray(mean.as_matrix()), jnp.asarray(about))).reshape(-1, 9)
-    covariance = np.cov((logs @ frame[0]).T)[None]
+    logs = so3.log(jnp.asarray(mean.as_matrix()), jnp.asarray(about))
+    covariance = np.cov((np.asarray(logs).reshape(-1, 9) @ frame[0]).T)[None]
     there = Target(so3, about, ("w", "x", "y", "z"), np.asarray, 1.0)
     posterior = posterior_of(covariance, frame, mean.as_matrix()[None])
     names, values = uncertainty(
