@@ -48,9 +48,9 @@ def demo(
     picture has the running mean of the same poles.
     """
     with clean_errors():
-        out = out.expanduser()
+        out, plate = out.expanduser(), plate.lower()
         check_written(out)
-        poles = _poles(plate.lower())
+        poles = _poles(plate)
         start = time.perf_counter()
         x, y = poles.ages, poles.directions
         source = mr.Interval(x[0], x[-1])
