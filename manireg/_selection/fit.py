@@ -175,7 +175,7 @@ def _with_noise(
 
 
 Again = Callable[[Problem, RegressionMap], RegressionMap]
-CALLS = 7  # from a choice along the path to the user's line
+CALLS = 6  # from a choice along the path to the user's line
 
 
 def _check(
