@@ -39,8 +39,14 @@ from ._selection.fit import fit as fit
 from ._selection.lambda_grid import lambda_grid as lambda_grid
 from ._selection.leave_one_out import leave_one_out as leave_one_out
 from ._selection.sweep import sweep as sweep
+from ._solver.derivatives import Differential as Differential
 from ._solver.model import RegressionMap as RegressionMap
 from ._solver.posterior import Posterior as Posterior
+from ._solver.readings import (
+    SphereMotion as SphereMotion,
+    angular_velocity as angular_velocity,
+    sphere_motion as sphere_motion,
+)
 from ._solver.regions import Region as Region
 from ._solver.solve import solve as solve
 from ._source import AbstractSource as AbstractSource, Chart as Chart

@@ -62,7 +62,7 @@ def with_estimated_noise(
     if problem is None or (problem.noise is None and problem.misfit.squared):
         return model
     for _ in range(ROUNDS):
-        found = at_minimum(problem, model)
+        found = at_minimum(model)
         _check_kept(problem, found)
         renewed = _renewed(problem, found, scatter)
         if first is None and problem.precision.mean is not None:
@@ -83,7 +83,7 @@ def with_estimated_noise(
         )
     if first is None:
         return model
-    return _told(model, first, at_minimum(problem, model), scatter)
+    return _told(model, first, at_minimum(model), scatter)
 
 
 def _renewed(problem: Problem, found: AtMinimum, scatter: Scatter) -> Problem:

@@ -1,29 +1,30 @@
 """The fitted map."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
-import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from .._discretisation.jets import centres_near
-from .._discretisation.local_polynomials import (
-    COVERED,
-    LocalPolynomials,
-    basis_values,
-    cover,
-)
+from .._discretisation.local_polynomials import LocalPolynomials
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._objective.objective import Energies
 from .._objective.problem import Problem
-from .._programs.sizes import at_each
 from .._source import AbstractSource
-from .._sources.checks import check_inputs, is_concrete, projected
+from .._sources.checks import check_inputs, is_concrete
 from ..manifolds import AbstractManifold
+from .derivatives import (
+    Differential,
+    acceleration_at,
+    check_curve,
+    differential_at,
+    velocity_at,
+)
+from .directions import curved
+from .evaluation import at_covered, psi_at
 from .posterior import Posterior, posterior_of
 
 
@@ -58,72 +59,81 @@ class RegressionMap(eqx.Module):
         or the cover are run-time errors (`equinox.error_if`); whether they lie on a curved
         source is not looked at: `source.project` them if in doubt.
         """
+        return self._at(x, _value)
+
+    def velocity(self, x: Numbers) -> Float[Array, "..."]:
+        r"""$\Phi'(x)$ of the map $\Phi = \pi \circ \Psi$ from a source of dimension 1: at
+        `x`, as for a call, tangent vectors `(n, *target.point_shape)`, or one at a single
+        point.
+
+        It is per unit of x as users write it: of an `Interval` (seconds, if x are dates),
+        of the period of a `Circle`. Where x are points of a curve, `Sphere(1)` say, it is
+        per unit of length along the frame of `differential`.
+
+        **Raises** ValueError as a call does, and for sources of dimension 2 or more, which
+        have a `differential`.
+
+        **Example:** how fast a pole wanders, in degrees a million years.
+
+            model = mr.fit(mr.Interval(0, 500), mr.Sphere(2), ages, poles)
+            np.degrees(mr.sphere_motion(model(100.0), model.velocity(100.0)).speed)
+        """
+        check_curve(self.source, "velocity")
+        return self._at(x, velocity_at, curved(self.source))
+
+    def acceleration(self, x: Numbers) -> Float[Array, "..."]:
+        r"""$D\Phi'/dx$, the covariant derivative of the `velocity` along the curve: the
+        tangent part of its ambient derivative, zero for geodesics of constant speed.
+        Shapes, units (per square of that of x) and errors as for `velocity`."""
+        check_curve(self.source, "acceleration")
+        return self._at(x, acceleration_at, curved(self.source))
+
+    def differential(self, x: Numbers) -> Differential:
+        r"""$d\Phi_x$ along an orthonormal frame $E_1, \dots, E_m$ of the source's tangent
+        space, of any dimension m.
+
+        **Arguments:** `x`: as for a call, and so are errors.
+
+        **Returns** a named tuple, without n for a single point:
+
+        - `derivatives`: `(n, *target.point_shape, m)`, tangent vectors of the target.
+        - `frame`: `(n, s, m)`, columns $E_a$ in ambient coordinates of the source: the
+          axes where the source is a part of a vector space (`Box`, `Ambient`), elsewhere
+          some frame, which need not depend on x continuously.
+
+        What does not depend on the frame: `derivatives @ frame^T`, its singular values.
+
+        **Example:** by how much a map between surfaces stretches.
+
+            stretch = jnp.linalg.svd(model.differential(x).derivatives, compute_uv=False)
+        """
+        return self._at(x, differential_at, curved(self.source))
+
+    def posterior(self, smoothing_known: bool = False) -> Posterior:
+        """How sure the map is: covariances, regions, bands, velocities, random maps; see
+        `Posterior`.
+
+        - `smoothing_known`: True: lambda as if it were known; by default it is a choice
+          with an error of its own, from the curvature of the restricted likelihood, which
+          widens regions where data are few.
+
+        **Raises** ValueError for a map without its problem (fitted under `jit` or `vmap`,
+        or stored alone)."""
+        return posterior_of(self, smoothing_known)
+
+    def _at(self, x: Numbers, function: Callable, *of_source: Any) -> Any:
+        """`function` of the parts of the map, at checked points."""
         check_x64(self.basis)
         flat, single = check_inputs(self.source, x)
-        parts = self.basis, self.coefficients, self.origin
-        if _is_host(self.target, parts, flat):
-            near = centres_near(self.basis, np.asarray(flat))
-            points, covered = at_each(_value, (self.target, *parts), flat, near)
-            if not np.all(covered):
-                raise ValueError(UNCOVERED)
-            return jax.device_put(points[0] if single else points)
-        values, covered = evaluate(self.basis, self.coefficients, flat, self.origin)
-        values = eqx.error_if(values, ~covered, UNCOVERED)
-        points = projected(self.target, values.reshape(-1, *self.target.point_shape))
-        return points[0] if single else points
-
-    def posterior(self) -> Posterior:
-        """How sure the map is: covariances, regions, bands, random maps."""
-        return posterior_of(self)
-
-
-UNCOVERED = (
-    "x: some points lie outside the support of every centre of the fitted map; fit with "
-    "inputs that cover them."
-)
-
-
-def evaluate(
-    basis: LocalPolynomials,
-    w: Float[Array, "KC t"],
-    x: Float[Array, "n s"],
-    origin: Float[Array, " t"],
-) -> tuple[Float[Array, "n t"], Bool[Array, ""]]:
-    """Psi at `x`, before the projection to N; and whether all of `x` is covered. Traced
-    points are compared with all centres, others only with those near them."""
-    owner = basis, w, origin
-    if _is_host(owner, x):
-        near = centres_near(basis, np.asarray(x))
-        values, covered = at_each(_psi, owner, x, near)
-        return jax.device_put((values, np.all(covered)))
-    return _evaluate_traced(owner, x)
-
-
-@eqx.filter_jit
-def _evaluate_traced(owner, x):
-    """A loop outside of `jit` would be compiled at every call."""
-    everywhere = jnp.arange(len(owner[0].centres))
-    one = lambda x: _psi(owner, x, everywhere)
-    values, covered = jax.lax.map(one, x, batch_size=256)
-    return values, jnp.all(covered)
-
-
-def _is_host(*values) -> bool:
-    return is_concrete(*jax.tree.leaves(values))
-
-
-def _psi(owner, x, near):
-    basis, w, origin = owner
-    w = w.reshape(len(basis.centres), basis.size, -1)
-    values = basis_values(basis, x, near).reshape(len(near), -1)
-    psi = jnp.einsum("lc,lct->t", values, w[near])
-    return origin + psi, cover(basis, x, near) > COVERED
+        owner = *of_source, self.target, self.coefficients, self.origin
+        values = at_covered(function, self.basis, owner, flat)
+        return jax.tree.map(lambda v: v[0], values) if single else values
 
 
 def _value(owner, x, near):
-    target, *parts = owner
-    psi, covered = _psi(parts, x, near)
-    return target.project(psi.reshape(target.point_shape)), covered
+    basis, (target, w, origin) = owner
+    psi = psi_at((basis, (w, origin)), x, near)
+    return target.project(psi.reshape(target.point_shape))
 
 
 def regression_map(

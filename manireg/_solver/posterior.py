@@ -1,45 +1,70 @@
 """How sure a fitted map is: the Laplace approximation around it (mathematics: 10.2,
 10.4)."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, PRNGKeyArray
-from scipy.sparse import csr_array
+from jaxtyping import Array, Float, PRNGKeyArray
 
-from .._algebra.covariances import Elements
 from .._algebra.sparse import SparseSymmetric
-from .._discretisation.jets import centres_near
-from .._discretisation.local_polynomials import basis_values
 from .._input.numbers import Numbers
 from .._objective.problem import Problem
 from .._objective.terms import project_flat
-from .._programs.program import program
-from .._programs.sizes import ROWS, at_each, filled, power_of_four
+from .._programs.sizes import at_each
 from .._sources.checks import check_inputs
+from ..manifolds import SpecialOrthogonal, Sphere
 from ..manifolds._defaults.frames import tangent_frames
-from .at_minimum import AtMinimum, at_minimum
+from .at_minimum import at_minimum, lambda_error
+from .derivatives import check_curve, tangent_of_curve
 from .draws import draws
+from .jet_covariances import JetsAt, covariances, displaced, jets_at, pushed
 from .linear import AbstractSolvers
 from .minimise import gauge, stage_of
+from .readings import angular_velocity, sphere_motion
 from .regions import Region, quantile_radius
 from .spread import Spread
 
 DRAWS = 1000  # maps that a band is made of
-LEAST_ROWS = 16
+
+
+class Estimate(NamedTuple):
+    """A quantity at each of q points, with its covariance."""
+
+    value: Float[np.ndarray, "q ..."]
+    covariance: Float[np.ndarray, "q d d"]
+    """Of the d coordinates in `frame`, or of the value as it is."""
+    frame: Float[np.ndarray, "q t d"] | None = None
+
+
+class MotionEstimate(NamedTuple):
+    """Of a point that moves on the sphere; see `sphere_motion`."""
+
+    speed: Float[np.ndarray, " q"]
+    """Radians per unit of x."""
+    speed_deviation: Float[np.ndarray, " q"]
+    """Standard deviation, likewise."""
+    azimuth: Float[np.ndarray, " q"]
+    """Degrees from north, clockwise."""
+    azimuth_deviation: Float[np.ndarray, " q"]
+    euler_pole: Region
 
 
 class Posterior(eqx.Module):
-    r"""Of a fitted map, $w \sim N(\hat w, (2 \hat\sigma^2 / k) H^{-1})$: likelihood
-    $\exp(-d^2 / 2 \sigma^2)$, prior $\exp(-k \lambda S / 2 \sigma^2)$, H the Gauss-Newton
-    Hessian of the objective. Regions around the fit hold the true map as often as they say,
-    averaged over x (Wahba 1983, Nychka 1988): they are wider than what noise alone does to
-    the fit, by what smoothing may have taken off.
+    r"""Of a fitted map, $w \sim N(\hat w, (2 \hat\sigma^2 / k) H^{-1})$: the likelihood is
+    $\exp(-d^2 / 2 \sigma^2)$, the prior $\exp(-k \lambda S / 2 \sigma^2)$, and H the
+    Gauss-Newton Hessian of the objective. Averaged over x, regions around the fit hold the
+    true map as often as they say (Wahba 1983, Nychka 1988): they are wider than what noise
+    alone does to the fit, by what smoothing may have taken off.
 
     Made by `model.posterior()`.
+
+    **Example:** where a pole was, a hundred million years ago.
+
+        post = model.posterior()
+        post.region(np.array([100.0])).theta95
     """
 
     model: Any
@@ -50,6 +75,9 @@ class Posterior(eqx.Module):
     spread: Spread
     scale: float
     r"""$2 \hat\sigma^2 / k$."""
+    along_lambda: Float[Array, "KC t"] | None
+    r"""What one standard deviation of $\log \lambda$ does to the coefficients; None where
+    lambda is taken as known."""
 
     def covariance(
         self, x: Numbers
@@ -58,13 +86,8 @@ class Posterior(eqx.Module):
         space of N there: covariances and frames (in flattened ambient coordinates).
 
         **Raises** ValueError as calling the map does."""
-        flat, _ = check_inputs(self.model.source, x)
-        flat = np.asarray(flat)
-        ambient, psi = self._at(flat)
-        target = self.model.target
-        points = at_each(_landed, target, psi)
-        frames = tangent_frames(target, points)
-        return at_each(_in_frame, target, psi, ambient, frames), frames
+        _, jets, frames = self._values(x)
+        return self._pushed(_in_frame, jets, frames)[1], frames
 
     def region(
         self,
@@ -86,128 +109,118 @@ class Posterior(eqx.Module):
         **Raises** ValueError as calling the map does, for a level not between 0 and 1, and
         for a band of new data."""
         if simultaneous and new:
-            raise ValueError(
-                "region: `new` data are regions one by one; leave out one."
-            )
-        covariance, frames = self.covariance(x)
+            raise ValueError("region: `new` data are regions one by one; leave out one.")
+        centre, jets, frames = self._values(x)
+        covariance = self._pushed(_in_frame, jets, frames)[1]
         n = covariance.shape[1]
         radius = quantile_radius(level, n)
         if simultaneous:
-            radius = self._band(x, covariance, frames, level, key)
+            radius = self._band(jets, covariance, frames, level, key)
         if new:
             spread = self.spread.variance if new is True else float(new) ** 2
             covariance = covariance + spread * np.eye(n)
-        centre = self.model(_batch(self.model.source, x))
         return Region(self.model.target, centre, covariance, frames, radius, level)
 
     def sample(self, key: PRNGKeyArray, m: int) -> list[Any]:
         """`m` maps drawn at random, each a `RegressionMap`."""
-        without = eqx.tree_at(
-            lambda f: f.problem, self.model, None, is_leaf=lambda a: a is None
-        )
+        none = lambda a: a is None
+        alone = eqx.tree_at(lambda f: f.problem, self.model, None, is_leaf=none)
         w = np.asarray(self.model.coefficients)
         drawn = jax.device_put([w + d for d in self._drawn(key, m)])
-        return [eqx.tree_at(lambda f: f.coefficients, without, d) for d in drawn]
+        return [eqx.tree_at(lambda f: f.coefficients, alone, d) for d in drawn]
 
-    def sampling_covariance(
-        self, x: Numbers
-    ) -> tuple[Float[np.ndarray, "q n n"], Float[np.ndarray, "q t n"]]:
-        r"""Of the fit over repetitions of the noise, $H^{-1} (\sum J^\top J) H^{-1}$, as
-        `covariance`: what a bootstrap finds, smaller than the posterior's."""
-        raise NotImplementedError
+    def velocity(self, x: Numbers) -> Estimate:
+        """`model.velocity(x)`, tangent vectors `(q, *point_shape)` per unit of x, with
+        covariances in an orthonormal frame of the tangent space.
+
+        **Raises** ValueError for sources of dimension 2 or more."""
+        _, jets, frames = self._values(x, order=1)
+        coordinates, covariance = self._pushed(_velocity_in_frame, jets, frames)
+        shape = self.model.target.point_shape
+        velocity = np.einsum("qtn,qn->qt", frames, coordinates)
+        return Estimate(velocity.reshape(-1, *shape), covariance, frames)
+
+    def angular_velocity(self, x: Numbers, axes: str = "space") -> Estimate:
+        """`angular_velocity` of a curve of rotations, `(q, 3)` in radians per unit of x,
+        about axes of the space or of the body, with its covariances `(q, 3, 3)`.
+
+        **Raises** ValueError for other targets, and names of axes."""
+        target = self.model.target
+        if not isinstance(target, SpecialOrthogonal) or target.point_shape != (3, 3):
+            raise ValueError("angular_velocity: only of maps into SpecialOrthogonal(3).")
+        angular_velocity(np.eye(3), np.eye(3), axes)  # raises for other names
+        _, jets, _ = self._values(x, order=1)
+        read = _turn_in_space if axes == "space" else _turn_in_body
+        return Estimate(*self._pushed(read, jets))
+
+    def sphere_motion(self, x: Numbers, level: float = 0.95) -> MotionEstimate:
+        """`sphere_motion` of a curve on the sphere: speed and azimuth with standard
+        deviations, and the Euler pole with its region.
+
+        **Raises** ValueError for other targets."""
+        target = self.model.target
+        if not isinstance(target, Sphere) or target.dim != 2:
+            raise ValueError("sphere_motion: only of maps into Sphere(2).")
+        _, jets, _ = self._values(x, order=1)
+        both, covariance = self._pushed(_speed_and_azimuth, jets)
+        deviation = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+        poles, ambient = self._pushed(_euler_pole, jets)
+        globe = Sphere(2)
+        frames = tangent_frames(globe, poles)
+        in_frame = np.swapaxes(frames, 1, 2) @ ambient @ frames
+        radius = quantile_radius(level, 2)
+        region = Region(globe, jax.device_put(poles), in_frame, frames, radius, level)
+        parts = both[:, 0], deviation[:, 0], both[:, 1], deviation[:, 1]
+        return MotionEstimate(*parts, region)
+
+    def _values(self, x: Numbers, order: int = 0):
+        """The map at `x`, its jets there, and frames of the tangent spaces."""
+        if order:
+            check_curve(self.model.source, "velocity")
+        flat, _ = check_inputs(self.model.source, x)
+        source = self.model.source
+        centre = self.model(source.from_ambient(flat))  # which looks for uncovered points
+        jets = jets_at(self.model, np.asarray(flat), order)
+        return centre, jets, tangent_frames(self.model.target, np.asarray(centre))
+
+    def _pushed(self, function, jets: JetsAt, *arrays):
+        basis = self.model.basis
+        covariance = covariances(jets, self.hessian, basis.size, self.solvers)
+        covariance = self.scale * covariance
+        if self.along_lambda is not None:
+            moved = displaced(jets, basis, self.along_lambda)
+            covariance += moved[:, :, None] * moved[:, None, :]
+        return pushed(function, self.model.target, jets, covariance, *arrays)
 
     def _drawn(self, key, m: int) -> Float[np.ndarray, "m KC t"]:
         w, lam = self.model.coefficients, self.model.lam
         stage = stage_of(self.problem, lam, gauge(self.problem), "projected", w)
         found = draws(stage, w, self.hessian, self.solvers, key, m)
-        return np.sqrt(self.scale) * found
+        found = np.sqrt(self.scale) * found
+        if self.along_lambda is not None:
+            steps = jax.random.normal(jax.random.fold_in(key, 1), (m, 1, 1))
+            found = found + np.asarray(steps) * np.asarray(self.along_lambda)
+        return found
 
-    def _band(self, x, covariance, frames, level, key) -> float:
+    def _band(self, jets: JetsAt, covariance, frames, level, key) -> float:
         key = jax.random.key(0) if key is None else key
-        flat = np.asarray(check_inputs(self.model.source, x)[0])
-        rows, near, psi = self._values(flat)
-        slopes = at_each(_slope, self.model.target, psi, frames)
         drawn = self._drawn(key, DRAWS)
         size, t = drawn.shape[1:]
-        values = _as_matrix(rows, near, size) @ np.moveaxis(drawn, 0, 2).reshape(size, -1)
-        values = values.reshape(len(flat), t, DRAWS)
-        root = np.linalg.cholesky(covariance)
-        z = np.linalg.solve(root, slopes @ values)
+        moved = jets.as_matrix(size) @ np.moveaxis(drawn, 0, 2).reshape(size, -1)
+        slopes = at_each(_slope, self.model.target, jets.psi[:, 0], frames)
+        moved = slopes @ moved.reshape(len(frames), t, DRAWS)
+        z = np.linalg.solve(np.linalg.cholesky(covariance), moved)
         largest = np.max(np.sum(z**2, axis=1), axis=0)
         return float(np.sqrt(np.quantile(largest, level)))
 
-    def _values(self, flat):
-        """Basis functions `(q, L * C)` of the centres `(q, L)` near each point, and Psi
-        there."""
-        basis, w = self.model.basis, self.model.coefficients
-        near = centres_near(basis, flat)
-        rows = at_each(_rows, basis, flat, near)
-        return rows, near, at_each(_psi, (w, self.model.origin), rows, near)
 
-    def _at(self, flat):
-        """Covariances `(q, t, t)` of Psi, and Psi itself."""
-        rows, near, psi = self._values(flat)
-        functions = self.model.basis.size
-        parts, size = [], power_of_four(min(len(flat), ROWS), least=LEAST_ROWS)
-        for start in range(0, len(flat), size):
-            some = slice(start, start + size)
-            values = filled(rows[some], size).reshape(size, 1, -1, functions)
-            own = filled(near[some], size)[:, :, None]
-            columns = np.where(own < 0, -1, own * functions + np.arange(functions))
-            count = np.array(len(rows[some]))
-            elements = Elements(values, columns.reshape(size, -1), count)
-            found = _covariances(self.hessian, elements, self.solvers)
-            parts.append(np.asarray(found)[: len(rows[some]), 0])
-        return self.scale * np.concatenate(parts), psi
-
-
-def posterior_of(model: Any) -> Posterior:
-    """**Raises** ValueError for a map without its problem."""
-    if model.problem is None:
-        raise ValueError(
-            "posterior: this map has left its problem behind (it was fitted under `jit` or "
-            "`vmap`, or stored alone); fit it outside of them, or give "
-            "`dataclasses.replace(model, problem=problem)`."
-        )
-    found: AtMinimum = at_minimum(model.problem, model)
+def posterior_of(model: Any, smoothing_known: bool) -> Posterior:
+    found = at_minimum(model)
     k = int(np.sum(np.asarray(model.problem.weights) > 0))
     scale = 2 * found.spread.variance / k
-    parts = found.given, found.solvers, found.hessian, found.spread, scale
+    along = None if smoothing_known else lambda_error(model, found)
+    parts = found.given, found.solvers, found.hessian, found.spread, scale, along
     return Posterior(model, *parts)
-
-
-@program(most=8)
-def _covariances(hessian, elements, solvers):
-    return solvers.positive.covariances(hessian, elements)
-
-
-def _batch(source, x):
-    x = np.asarray(x)
-    return x[None] if x.shape == source.point_shape else x
-
-
-def _rows(basis, x, near):
-    return basis_values(basis, x, near)
-
-
-def _psi(owner, rows, near):
-    w, origin = owner
-    w = w.reshape(-1, len(rows) // len(near), w.shape[1])
-    return origin + jnp.einsum("lc,lct->t", rows.reshape(len(near), -1), w[near])
-
-
-def _as_matrix(rows, near, size: int) -> csr_array:
-    """Values of all basis functions `(q, K C)`."""
-    functions = rows.shape[1] // near.shape[1]
-    columns = near[:, :, None] * functions + np.arange(functions)
-    point = np.broadcast_to(np.arange(len(rows))[:, None, None], columns.shape)
-    there = columns >= 0
-    entries = rows.reshape(columns.shape)[there], (point[there], columns[there])
-    return csr_array(entries, shape=(len(rows), size))
-
-
-def _landed(target, psi):
-    return project_flat(target, psi)
 
 
 def _slope(target, psi, frame):
@@ -215,6 +228,36 @@ def _slope(target, psi, frame):
     return frame.T @ jax.jacfwd(lambda q: project_flat(target, q))(psi)
 
 
-def _in_frame(target, psi, covariance, frame):
-    slope = _slope(target, psi, frame)
-    return slope @ covariance @ slope.T
+def _in_frame(target, psi, frame):
+    return frame.T @ project_flat(target, psi[0])
+
+
+def _velocity(target, psi):
+    return tangent_of_curve(target, psi)
+
+
+def _velocity_in_frame(target, psi, frame):
+    return frame.T @ _velocity(target, psi).ravel()
+
+
+def _turn_in_space(target, psi):
+    point = target.project(psi[0].reshape(target.point_shape))
+    return angular_velocity(point, _velocity(target, psi), "space")
+
+
+def _turn_in_body(target, psi):
+    point = target.project(psi[0].reshape(target.point_shape))
+    return angular_velocity(point, _velocity(target, psi), "body")
+
+
+def _motion(target, psi):
+    return sphere_motion(target.project(psi[0]), _velocity(target, psi))
+
+
+def _speed_and_azimuth(target, psi):
+    motion = _motion(target, psi)
+    return jnp.stack([motion.speed, motion.azimuth])
+
+
+def _euler_pole(target, psi):
+    return _motion(target, psi).euler_pole

@@ -17,7 +17,8 @@ from .._programs.sizes import power_of_four
 from .._selection.choice import CrossValidation
 from .._selection.leave_one_out import leave_one_out
 from .._selection.one_fit import RTOL
-from .._solver.model import RegressionMap, evaluate
+from .._solver.evaluation import evaluate
+from .._solver.model import RegressionMap
 from .._solver.solve import solve
 from .._sources.sources import Ambient
 from ..manifolds import PointCloud

@@ -13,8 +13,8 @@ from .._programs.program import program
 from .._selection.choice import evaluated
 from .._selection.folds import held_out_error, training_sets
 from .._selection.lambda_grid import lambda_grid
+from .._solver.evaluation import evaluate
 from .._solver.linear import AbstractSolvers, direct_solvers
-from .._solver.model import evaluate
 from .._solver.starts import free_solution
 from .._source import AbstractSource
 from .._sources.checks import check_lam, check_lams

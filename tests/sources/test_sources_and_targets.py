@@ -11,8 +11,8 @@ from scipy.integrate import dblquad
 
 import manireg as mr
 from manireg._discretisation.domain import discretise
+from manireg._solver.evaluation import evaluate
 from manireg._solver.linear import direct_solvers
-from manireg._solver.model import evaluate
 from manireg._solver.starts import free_solution
 
 pytestmark = pytest.mark.slow  # minutes of compilation
