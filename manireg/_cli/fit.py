@@ -126,9 +126,11 @@ def fit(
 
     On the sphere these columns are the ellipse that holds the path (not the data about it)
     with --level percent - semi_major, semi_minor and azimuth of the longer axis - and
-    theta95, the radius of the circle as large, all in degrees. Of other targets they are
-    standard errors: se in degrees for the circle, se_x, se_y, se_z in degrees about the
-    axes of space for rotations, se_NAME for each euclidean output.
+    theta95, the radius of the circle as large, all in degrees; of one input also its speed
+    in degrees per unit of the input (of dates, second), with the standard error se_speed.
+    Of other targets they are standard errors: se in degrees for the circle, se_x, se_y,
+    se_z in degrees about the axes of space for rotations, se_NAME for each euclidean
+    output.
 
     Tables are text (UTF-8, UTF-16 or Windows-1252) separated by commas, semicolons, tabs,
     `|` or spaces. Lines that start with # or % are comments. Numbers may have decimal
@@ -191,9 +193,9 @@ def fit(
 
         start, asked_order = time.perf_counter(), _order(order)
         given = {"weights": w, "order": asked_order, "loss": loss_of(loss)}
-        given |= noise.of_outputs(table, there) | of_inputs
+        given |= noise.of_outputs(table, there)
         value = None if lam == "auto" else _number(lam)
-        choice: dict[str, Any] = {"criterion": criterion}
+        choice: dict[str, Any] = {"criterion": criterion, **of_inputs}
         if folds is not None:
             choice |= {"folds": min(folds, len(x)), "key": jax.random.key(seed)}
         problem = source, there.manifold, x, there.points

@@ -66,7 +66,7 @@ def noise_rows(model: Any, posterior: Any, degrees: float | None) -> dict[str, s
         if tau > 0 and precision.log_densities is not None:
             rows["left-out data are likelier"] = _likelier(*precision.log_densities)
     if not misfit.squared:
-        seen = at_minimum(problem, model).leverages.rho[:, 1]
+        seen = at_minimum(model).leverages.rho[:, 1]
         rows["data of less than half their weight"] = (
             f"{np.sum(seen < 0.5)} of {len(seen)}"
         )

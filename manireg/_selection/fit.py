@@ -122,22 +122,60 @@ def chosen_fit(
     data = {"order": 2, "loss": "squared"} | data
     _check(lam, data["order"], distance, folds, data["loss"], criterion)
     check_scatter(scatter)
+    problem, choices = (source, target, x, y), []
     if lam is not None:
-        problem = blunted(make_problem(source, target, x, y, **data))
-        minimise = solve_geodesic if distance == "geodesic" else solve
-        model = minimise(problem, lam, **options)
-        options = {**options, "starts": ()}
-        again: Again = lambda problem, model: minimise(
-            problem, lam, **options, warm=model.coefficients
-        )
-        return with_estimated_noise(model, again, scatter), None
-    if folds is not None:
-        cv = cross_validate(source, target, x, y, folds=folds, **data, **options)
-        options["progress"] = False
-        choose = lambda problem, _: cross_validate(problem, folds=folds, **options)
-        return _with_noise(cv, choose, scatter)
+        model, again = _given(*problem, lam, distance, data, options)
+    elif folds is not None:
+        model, again = _by_folds(*problem, folds, data, options, choices)
+    else:
+        model, again = _along_path(*problem, criterion, data, options, choices)
+    model = with_estimated_noise(model, again, scatter)
+    if not choices:
+        return model, None
+    return model, dataclasses.replace(choices[-1], others=choices[0].others)
 
-    judge, lams = criterion_of(criterion), options.pop("lams", None)
+
+Again = Callable[[Problem, RegressionMap], RegressionMap]
+CALLS = 7  # from a choice along the path to the user's line
+
+
+def _given(
+    source, target, x, y, lam, distance, data, options
+) -> tuple[RegressionMap, Again]:
+    """The fit at a lambda, and how to repeat it near a map."""
+    minimise = solve_geodesic if distance == "geodesic" else solve
+    model = minimise(
+        blunted(make_problem(source, target, x, y, **data)), lam, **options
+    )
+    options = {**options, "starts": ()}
+
+    def again(problem, model):
+        return minimise(problem, lam, **options, warm=model.coefficients)
+
+    return model, again
+
+
+def _by_folds(
+    source, target, x, y, folds, data, options, choices: list[CrossValidation]
+) -> tuple[RegressionMap, Again]:
+    """The same with a choice of lambda, which goes to `choices`, as do those of repeated
+    fits."""
+    options = {**options, "folds": folds}
+    choices.append(cross_validate(source, target, x, y, **data, **options))
+    options["progress"] = False
+
+    def again(problem, model):
+        choices.append(cross_validate(problem, **options))
+        return choices[-1].model
+
+    return choices[0].model, again
+
+
+def _along_path(
+    source, target, x, y, criterion, data, options, choices: list[CrossValidation]
+) -> tuple[RegressionMap, Again]:
+    judge, options = criterion_of(criterion), dict(options)
+    lams = options.pop("lams", None)
 
     def chosen(
         problem: Problem,
@@ -147,35 +185,18 @@ def chosen_fit(
         linear_algebra: str = "auto",
         max_steps: int = 40,
         progress: bool = True,
-    ):
+    ) -> CrossValidation:
         score = OneFit(problem, judge, linear_algebra, max_steps, warm)
         return along_path(score, lams, progress, above=CALLS)
 
+    def again(problem, model):
+        parts = {**options, "progress": False}
+        choices.append(chosen(problem, lams, model, **parts))
+        return checked(choices[-1].model, STEPS_TO_THE_END)
+
     first = lambda problem, lams: chosen(blunted(problem), lams, **options)
-    cv = over_orders(first, source, target, x, y, lams, **data)
-    options["progress"] = False
-    choose = lambda problem, model: chosen(problem, lams, model, **options)
-    return _with_noise(cv, choose, scatter)
-
-
-def _with_noise(
-    cv: CrossValidation,
-    choose: Callable[[Problem, RegressionMap], CrossValidation],
-    scatter: Scatter,
-) -> tuple[RegressionMap, CrossValidation]:
-    """The map of `cv`, chosen again until its noise stays, and the last choice."""
-
-    def again(problem: Problem, model: RegressionMap) -> RegressionMap:
-        nonlocal cv
-        cv = dataclasses.replace(choose(problem, model), others=cv.others)
-        return checked(cv.model, STEPS_TO_THE_END)
-
-    model = checked(cv.model, STEPS_TO_THE_END)
-    return with_estimated_noise(model, again, scatter), cv
-
-
-Again = Callable[[Problem, RegressionMap], RegressionMap]
-CALLS = 6  # from a choice along the path to the user's line
+    choices.append(over_orders(first, source, target, x, y, lams, **data))
+    return checked(choices[0].model, STEPS_TO_THE_END), again
 
 
 def _check(

@@ -64,36 +64,37 @@ def with_estimated_noise(
     for _ in range(ROUNDS):
         found = at_minimum(model)
         _check_kept(problem, found)
-        renewed = _renewed(problem, found, scatter)
+        now = renewed(problem, found, scatter)
         if first is None and problem.precision.mean is not None:
             first = found
-        before, now = (p.precision.relative for p in (problem, renewed))
-        scales = float(problem.misfit.scale), float(renewed.misfit.scale)
+        relative = problem.precision.relative, now.precision.relative
+        scales = float(problem.misfit.scale), float(now.misfit.scale)
         same = problem.misfit.squared or abs(np.log(scales[1] / scales[0])) < SETTLED
-        if same and np.allclose(before, now, rtol=2 * SETTLED, atol=0):
+        if same and np.allclose(*relative, rtol=2 * SETTLED, atol=0):
             break
-        problem = renewed
+        problem = now
         model = again(problem, model)
     else:
         warnings.warn(
             f"fit: the noise has not settled in {ROUNDS} rounds (its scale went from "
             f"{scales[0]:.3g} to {scales[1]:.3g} in the last one): there may be two "
             "explanations of these data. Give `sigma`, or a `lam`.",
-            stacklevel=5,
+            stacklevel=4,
         )
     if first is None:
         return model
     return _told(model, first, at_minimum(model), scatter)
 
 
-def _renewed(problem: Problem, found: AtMinimum, scatter: Scatter) -> Problem:
+def renewed(problem: Problem, found: AtMinimum, scatter: Scatter) -> Problem:
     precision, noise = problem.precision, problem.noise
     if noise is None or precision.mean is None:
         if problem.misfit.squared:
             return problem
         return _with_scale(problem, _robust_scale(problem, found))
     tau = _additive(problem, found) if scatter == "additive" else 0.0
-    new = precision_of(noise, problem.weights, tau)
+    weights = np.asarray(problem.weights)
+    new = precision_of(noise, weights > 0 if problem.owner is None else weights, tau)
     misfit = misfit_of(new, problem.misfit.loss)
     return eqx.tree_at(lambda p: (p.precision, p.misfit), problem, (new, misfit))
 

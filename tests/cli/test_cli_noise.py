@@ -101,11 +101,11 @@ def test_losses_and_choices(asked, name, loss):
 
 def test_uncertain_inputs(asked):
     found = asked(*AGE, *GLOBE, "--x-sigma", "s")
-    np.testing.assert_array_equal(found["data"]["x_sigma"], S)
-    assert "x_min" not in found["data"] and "sigma" not in found["data"]
+    np.testing.assert_array_equal(found.pop("x_sigma"), S)
+    assert "x_min" not in found and "sigma" not in found["data"]
     found = asked(*AGE, *GLOBE, "--x-min", "low", "--x-max", "high")
-    np.testing.assert_array_equal(found["data"]["x_min"], [-1, 0, 2, 3])
-    np.testing.assert_array_equal(found["data"]["x_max"], [2, 3, 2, 8])
+    np.testing.assert_array_equal(found["x_min"], [-1, 0, 2, 3])
+    np.testing.assert_array_equal(found["x_max"], [2, 3, 2, 8])
     np.testing.assert_array_equal(found["x"], [0, 1, 3, 4])
     # wherever inputs may be, the map is defined
     assert (found["source"].a, found["source"].b) == (-1, 8)
@@ -122,9 +122,9 @@ def test_uncertain_dates(asked, tmp_path, given):
     arguments = [] if given is None else ["--input", given]
     line = ["--target", "euclidean", "--output", "y"]
     found = asked(*arguments, *line, "--x-min", "from", "--x-max", "to")
-    width = found["data"]["x_max"] - found["data"]["x_min"]
+    width = found["x_max"] - found["x_min"]
     np.testing.assert_array_equal(width, 2 * 86400.0)
-    middle = found["x"] - found["data"]["x_min"]
+    middle = found["x"] - found["x_min"]
     np.testing.assert_array_equal(middle, 86400.0 * (given is None))
 
 
@@ -232,6 +232,10 @@ def test_a_path_on_the_sphere(tmp_path, monkeypatch):
     np.testing.assert_allclose(round_, found["theta68"], rtol=1e-12)
     assert np.all(found["semi_major"] >= found["semi_minor"])
     assert np.all((found["azimuth"] >= 0) & (found["azimuth"] < 180))
+    np.testing.assert_allclose(found["speed"], np.degrees(0.05), rtol=0.1)
+    slope = sigma[:, None] ** -2 * np.stack([np.ones(15), T], axis=-1)
+    inverse = np.linalg.inv(np.stack([np.ones(15), T]) @ slope)
+    np.testing.assert_allclose(found["se_speed"], inverse[1, 1] ** 0.5, rtol=5e-3)
     assert "theta68 (path, not poles)" in printed
 
 
