@@ -33,6 +33,7 @@ from ._objective.robust import (
     Tukey as Tukey,
 )
 from ._objective.terms import AbstractTerm as AbstractTerm
+from ._selection.bootstrap import bootstrap as bootstrap
 from ._selection.choice import CrossValidation as CrossValidation
 from ._selection.cross_validate import cross_validate as cross_validate
 from ._selection.fit import fit as fit
@@ -40,6 +41,7 @@ from ._selection.lambda_grid import lambda_grid as lambda_grid
 from ._selection.leave_one_out import leave_one_out as leave_one_out
 from ._selection.sweep import sweep as sweep
 from ._solver.derivatives import Differential as Differential
+from ._solver.minima import SeveralMinimaWarning as SeveralMinimaWarning
 from ._solver.model import RegressionMap as RegressionMap
 from ._solver.posterior import Posterior as Posterior
 from ._solver.readings import (
@@ -49,6 +51,7 @@ from ._solver.readings import (
 )
 from ._solver.regions import Region as Region
 from ._solver.solve import solve as solve
+from ._solver.summary import Summary as Summary
 from ._source import AbstractSource as AbstractSource, Chart as Chart
 from ._sources.circle import Circle as Circle
 from ._sources.sources import Ambient as Ambient, Box as Box, Interval as Interval

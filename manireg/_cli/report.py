@@ -8,7 +8,6 @@ from rich.console import Console
 from rich.table import Table
 
 from .._input.shown import shown
-from .._solver.at_minimum import at_minimum
 
 CHOSEN = {
     "error": "cross-validation",
@@ -66,10 +65,9 @@ def noise_rows(model: Any, posterior: Any, degrees: float | None) -> dict[str, s
         if tau > 0 and precision.log_densities is not None:
             rows["left-out data are likelier"] = _likelier(*precision.log_densities)
     if not misfit.squared:
-        seen = at_minimum(model).leverages.rho[:, 1]
-        rows["data of less than half their weight"] = (
-            f"{np.sum(seen < 0.5)} of {len(seen)}"
-        )
+        left = np.asarray(model.data_weights)
+        few = f"{np.sum(left < 0.5)} of {len(left)}"
+        rows["data of less than half their weight"] = few
     return rows
 
 

@@ -14,10 +14,10 @@ from .problem import Problem
 def argument(problem: Problem) -> Problem:
     """The same without what programs do not read, filled up with data of weight 0, so
     that problems of similar size share them. Traced data stay as they are."""
-    unread = lambda p: (p.source, p.x, p.noise, p.precision)
+    unread = lambda p: (p.source, p.x, p.noise, p.owner, p.precision)
     bare = Precision(problem.precision.relative, None)
     problem = eqx.tree_at(
-        unread, problem, (None, None, None, bare), is_leaf=lambda a: a is None
+        unread, problem, (None, None, None, None, bare), is_leaf=lambda a: a is None
     )
     if not is_concrete(*jax.tree.leaves(problem)):
         return problem

@@ -40,13 +40,14 @@ def equal_precisions(k: int) -> Precision:
 
 
 def precision_of(
-    noise: Noise, weights: Float[Array, " k"], scatter: float = 0.0
+    noise: Noise, shares: Float[np.ndarray, " k"], scatter: float = 0.0
 ) -> Precision:
     r"""Of variances $\sigma_i^2 + \tau^2$ along each axis, $\tau$ = `scatter`; what is
-    not known along an axis stays so. The mean is that of data of positive weight."""
+    not known along an axis stays so. `shares` of the data in the mean."""
     known = np.asarray(noise.precisions)
     absolute = known / (1 + scatter**2 * known)
-    mean = np.mean(absolute[np.asarray(weights) > 0])
+    each = absolute if noise.axes is None else np.mean(absolute, axis=1)
+    mean = np.average(each, weights=shares)
     relative = absolute / mean
     if noise.axes is not None:
         roots = np.sqrt(relative)[:, :, None]

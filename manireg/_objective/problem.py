@@ -1,5 +1,6 @@
 """Data and discretisation of one regression, analysed once on the host."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -65,6 +66,9 @@ class Problem(eqx.Module):
     """The data term."""
     noise: Noise | None
     """What is known of it, for inference."""
+    owner: Int[np.ndarray, " k"] | None
+    """Where an x is known within errors only, and rows are values that it may have: of
+    which datum each is one; None: rows are data."""
     origin: Float[Array, " t"]
     """Psi = origin + A w: data far from zero cost no digits."""
     pattern: SparsityPattern
@@ -90,6 +94,14 @@ def data_weights(problem: Problem) -> Float[Array, "e p"]:
     """weight_i / sum_j weight_j, arranged in the elements of the data jets."""
     share = problem.weights / jnp.sum(problem.weights)
     return share[problem.data_jets.index] * problem.data_jets.mask
+
+
+def number_of_data(problem: Problem) -> int:
+    """Independent ones, of positive weight."""
+    heavy = np.asarray(problem.weights) > 0
+    if problem.owner is None:
+        return int(np.sum(heavy))
+    return len(np.unique(problem.owner[heavy]))
 
 
 def psi_jets(problem: Problem, jets: Jets, w: Float[Array, "KC t"]):
@@ -230,6 +242,44 @@ def make_problem(
     )
 
 
+def with_nodes(
+    problem: Problem,
+    x: Float[np.ndarray, "nodes s"],
+    owner: Int[np.ndarray, " nodes"],
+    weights: Float[np.ndarray, " nodes"],
+) -> Problem:
+    """The same problem, basis and energy with data at several places each: `owner` is of
+    which datum each place is one."""
+    data_jets = value_jets(problem.basis, x, problem.energy_jets)
+    pattern, energy_places, data_places = pattern_of(
+        problem.basis, problem.energy_jets, data_jets
+    )
+    of_owner = lambda tree: jax.device_put(
+        jax.tree.map(lambda a: np.asarray(a)[owner], tree)
+    )
+    terms = tuple(
+        (term, of_owner(args) if term.place == "data" else args)
+        for term, args in problem.terms
+    )
+    relative = of_owner(problem.precision.relative)
+    precision = eqx.tree_at(lambda p: p.relative, problem.precision, relative)
+    noise = None if problem.noise is None else of_owner(problem.noise)
+    changes = {
+        "x": jax.device_put(x),
+        "y": of_owner(problem.y),
+        "weights": jax.device_put(weights),
+        "owner": owner,
+        "precision": precision,
+        "noise": noise,
+        "terms": terms,
+        "data_jets": data_jets,
+        "pattern": pattern,
+        "energy_places": energy_places,
+        "data_places": data_places,
+    }
+    return dataclasses.replace(problem, **changes)
+
+
 def with_tension(problem: Problem, tension: float) -> Problem:
     """The same problem, made with tension, with another: all else is shared."""
     check_tension(tension, problem.source, problem.energy.order)
@@ -290,9 +340,10 @@ def assemble_problem(
     if data_volume is None:
         data_volume = np.sum(np.asarray(domain.weights))
     energy = IntrinsicEnergy() if energy is None else energy
-    relative = (
-        equal_precisions(len(y)) if noise is None else precision_of(noise, weights)
-    )
+    if noise is None:
+        relative = equal_precisions(len(y))
+    else:
+        relative = precision_of(noise, np.asarray(weights) > 0)
     order = max(0, *energy.orders, *(o for term in terms for o in term.orders))
     geodesics = domain.geodesics(order)
     energy_jets = jets_of(basis, geodesics, order)
@@ -319,6 +370,7 @@ def assemble_problem(
         precision=relative,
         misfit=misfit_of(relative, loss),
         noise=noise,
+        owner=None,
         origin=jax.device_put(share @ np.asarray(y)),
         pattern=pattern,
         energy_places=energy_places,

@@ -55,10 +55,7 @@ def warn_where_coarse(
     if len(x) < 2:
         return
     m = problem.dim
-    h, spacing = spacings_of(x, m), _spacings_of_centres(problem, x)
-    tried = float(np.asarray(lam if least is None else least))
-    wavelength = 2 * np.pi * (tried * len(x) * h**m) ** (1 / (2 * problem.energy.order))
-    coarse = spacing > np.maximum(INTERPOLATED * h, wavelength / SHORTEST)
+    coarse, h, spacing = _coarse(problem, x, lam if least is None else least)
     if np.mean(coarse) < SHARE or not _alike(x, y, residuals(), coarse):
         return
     finer = np.median((spacing / (INTERPOLATED * h))[coarse])
@@ -73,6 +70,24 @@ def warn_where_coarse(
         ResolutionWarning,
         stacklevel=3 + above,
     )
+
+
+def unresolved(problem: Problem, lam: ScalarLike) -> int:
+    """How many distinct inputs lie closer than centres and lambda resolve, as above;
+    whether what is missed there is noise is not asked."""
+    heavy = np.asarray(problem.weights) > 0
+    x = np.unique(np.asarray(problem.x)[heavy], axis=0)
+    return int(np.sum(_coarse(problem, x, lam)[0])) if len(x) > 1 else 0
+
+
+def _coarse(problem: Problem, x: Float[np.ndarray, "k s"], lam: ScalarLike):
+    """At which distinct inputs the centres lie farther apart than the data and half the
+    wavelength of lambda; the spacings of both there."""
+    m, power = problem.dim, 1 / (2 * problem.energy.order)
+    h, spacing = spacings_of(x, m), _spacings_of_centres(problem, x)
+    wavelength = 2 * np.pi * (float(np.asarray(lam)) * len(x) * h**m) ** power
+    coarse = spacing > np.maximum(INTERPOLATED * h, wavelength / SHORTEST)
+    return coarse, h, spacing
 
 
 def _distinct(problem: Problem, w):

@@ -11,10 +11,14 @@ from .._solver.geodesic_loss import solve_geodesic
 from .._solver.model import RegressionMap
 from .._solver.solve import checked, solve
 from .._source import AbstractSource
+from .._sources.checks import check_points
+from .._sources.input_errors import check_input_errors
 from ..manifolds import AbstractManifold
 from .choice import CrossValidation
 from .criteria import CriterionName, criterion_of
 from .cross_validate import cross_validate
+from .effective_variance import with_effective_variance
+from .latent_inputs import with_latent_inputs
 from .leave_one_out import along_path
 from .noise import Scatter, blunted, check_scatter, with_estimated_noise
 from .one_fit import STEPS_TO_THE_END, OneFit
@@ -33,6 +37,10 @@ def fit(
     precision: Numbers | None = None,
     frames: Numbers | None = None,
     scatter: Scatter = "additive",
+    x_sigma: Numbers | None = None,
+    x_min: Numbers | None = None,
+    x_max: Numbers | None = None,
+    x_error: Literal["latent", "effective"] = "latent",
     loss: AbstractLoss | str = "squared",
     centres: int | None = None,
     degree: int | None = None,
@@ -99,6 +107,7 @@ def fit(
         "order": order,
     }
     choice = {"distance": distance, "criterion": criterion, "folds": folds}
+    options |= {"x_sigma": x_sigma, "x_min": x_min, "x_max": x_max, "x_error": x_error}
     found = chosen_fit(source, target, x, y, lam, data, scatter, **choice, **options)
     return found[0]
 
@@ -112,16 +121,22 @@ def chosen_fit(
     data: dict[str, Any],
     scatter: Scatter = "additive",
     *,
+    x_sigma: Numbers | None = None,
+    x_min: Numbers | None = None,
+    x_max: Numbers | None = None,
+    x_error: Literal["latent", "effective"] = "latent",
     distance: Literal["chord", "geodesic"] = "chord",
     criterion: CriterionName = "error",
     folds: int | None = None,
     **options,
 ) -> tuple[RegressionMap, CrossValidation | None]:
-    """What `fit` does, with the last choice of lambda; None where it was given. `data`:
-    arguments of `make_problem`, and the order or orders."""
+    """What `fit` does, with the last choice of lambda before errors in x were looked at;
+    None where it was given. `data`: arguments of `make_problem`, and the order or
+    orders."""
     data = {"order": 2, "loss": "squared"} | data
     _check(lam, data["order"], distance, folds, data["loss"], criterion)
     check_scatter(scatter)
+    inexact = _input_errors(source, x, x_sigma, x_min, x_max, x_error)
     problem, choices = (source, target, x, y), []
     if lam is not None:
         model, again = _given(*problem, lam, distance, data, options)
@@ -130,6 +145,11 @@ def chosen_fit(
     else:
         model, again = _along_path(*problem, criterion, data, options, choices)
     model = with_estimated_noise(model, again, scatter)
+    if inexact is not None and x_error == "effective":
+        model = with_effective_variance(model, inexact, again, scatter)
+    elif inexact is not None:
+        progress = options.get("progress", True)
+        model = with_latent_inputs(model, inexact, lam is None, scatter, progress)
     if not choices:
         return model, None
     return model, dataclasses.replace(choices[-1], others=choices[0].others)
@@ -197,6 +217,18 @@ def _along_path(
     first = lambda problem, lams: chosen(blunted(problem), lams, **options)
     choices.append(over_orders(first, source, target, x, y, lams, **data))
     return checked(choices[0].model, STEPS_TO_THE_END), again
+
+
+def _input_errors(source, x, x_sigma, x_min, x_max, x_error: str):
+    if x_error not in ("latent", "effective"):
+        raise ValueError(
+            f"x_error: expected 'latent' or 'effective', found {x_error!r}."
+        )
+    if x_sigma is None and x_min is None and x_max is None:
+        return None
+    return check_input_errors(
+        source, check_points("x", source, x), x_sigma, x_min, x_max
+    )
 
 
 def _check(

@@ -70,6 +70,8 @@ def with_estimated_noise(
         relative = problem.precision.relative, now.precision.relative
         scales = float(problem.misfit.scale), float(now.misfit.scale)
         same = problem.misfit.squared or abs(np.log(scales[1] / scales[0])) < SETTLED
+        # equal precisions are relatively 1, whatever scatter is added
+        same &= np.allclose(*map(_mean, (problem, now)), rtol=2 * SETTLED, atol=0)
         if same and np.allclose(*relative, rtol=2 * SETTLED, atol=0):
             break
         problem = now
@@ -97,6 +99,11 @@ def renewed(problem: Problem, found: AtMinimum, scatter: Scatter) -> Problem:
     new = precision_of(noise, weights > 0 if problem.owner is None else weights, tau)
     misfit = misfit_of(new, problem.misfit.loss)
     return eqx.tree_at(lambda p: (p.precision, p.misfit), problem, (new, misfit))
+
+
+def _mean(problem: Problem) -> float:
+    mean = problem.precision.mean
+    return 1.0 if mean is None else float(mean)
 
 
 def _with_scale(problem: Problem, scale: float) -> Problem:

@@ -13,7 +13,7 @@ from .._algebra.sparse import SparseSymmetric
 from .._objective.arguments import argument, of_data
 from .._objective.hessian import gauss_newton
 from .._objective.objective import objective
-from .._objective.problem import Problem
+from .._objective.problem import Problem, number_of_data
 from .._programs.program import program
 from .fitted import scored_data
 from .leverages import Leverages, leverages
@@ -38,13 +38,7 @@ class AtMinimum(NamedTuple):
 
 def at_minimum(model: Any) -> AtMinimum:
     """Of a `RegressionMap`. **Raises** ValueError for one without its problem."""
-    problem = model.problem
-    if problem is None:
-        raise ValueError(
-            "This map has left its problem behind: it was fitted under `jit` or `vmap`, or "
-            "stored alone. Fit it outside of them, or give it back by "
-            "`dataclasses.replace(model, problem=problem)`."
-        )
+    problem = problem_of(model)
     given, solvers = argument(problem), direct_solvers(problem)
     data, on_curve = scored_data(problem), problem.basis.dim == 1
     hessian, seen = _seen(
@@ -54,6 +48,17 @@ def at_minimum(model: Any) -> AtMinimum:
     seen = Leverages(*(np.asarray(a)[own] for a in seen))
     spread = spread_of(problem, model, seen)
     return AtMinimum(given, solvers, hessian, data, seen, spread)
+
+
+def problem_of(model: Any) -> Problem:
+    """**Raises** ValueError for a map without its problem."""
+    if model.problem is None:
+        raise ValueError(
+            "This map has left its problem behind: it was fitted under `jit` or `vmap`, or "
+            "stored alone. Fit it outside of them, or give it back by "
+            "`dataclasses.replace(model, problem=problem)`."
+        )
+    return model.problem
 
 
 def lambda_error(model: Any, found: AtMinimum) -> Float[Array, "KC t"]:
@@ -66,7 +71,7 @@ def lambda_error(model: Any, found: AtMinimum) -> Float[Array, "KC t"]:
     moved, promised, edf = _along_lambda(
         given, lam, w, _some(model.problem, found.data), found.solvers, found.hessian
     )
-    spread, k = found.spread, int(np.sum(np.asarray(model.problem.weights) > 0))
+    spread, k = found.spread, number_of_data(model.problem)
     lost = spread.edf * (1 - float(edf) / np.sum(found.leverages.leverages))
     gained = spread.penalty - k * float(promised)
     curvature = gained / spread.variance + lost / math.log(STEP)

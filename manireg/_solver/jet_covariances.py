@@ -1,5 +1,5 @@
 """Covariances of what a map is at new points - values, velocities, and any function of
-its jets there - from a Hessian that is never inverted."""
+its jets there."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,18 +11,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.sparse import csr_array
 
-from .._algebra.covariances import Elements
-from .._algebra.sparse import SparseSymmetric
 from .._discretisation.jets import centres_near
 from .._discretisation.local_polynomials import LocalPolynomials, basis_values
-from .._programs.program import program
-from .._programs.sizes import ROWS, at_each, filled, power_of_four
+from .._programs.sizes import at_each
 from .derivatives import curve_jet, of_psi
 from .directions import curved
 from .evaluation import nearby
-from .linear import AbstractSolvers
-
-LEAST_ROWS = 16
 
 
 class JetsAt(NamedTuple):
@@ -54,27 +48,6 @@ def jets_at(model: Any, flat: Float[np.ndarray, "q s"], order: int) -> JetsAt:
     rows = at_each(_rows, (basis, along), flat, near)
     owner = basis, model.coefficients, model.origin
     return JetsAt(rows, near, at_each(_psi, owner, rows, near))
-
-
-def covariances(
-    jets: JetsAt, hessian: SparseSymmetric, functions: int, solvers: AbstractSolvers
-) -> Float[np.ndarray, "q Jt Jt"]:
-    """A H^{-1} A^T, A the jets."""
-    rows, near = jets.rows, jets.near
-    size = power_of_four(min(len(rows), ROWS), least=LEAST_ROWS)
-    parts = []
-    for start in range(0, len(rows), size):
-        some = slice(start, start + size)
-        count = len(rows[some])
-        values = filled(rows[some], size).reshape(size, rows.shape[1], -1, functions)
-        own = filled(near[some], size)[:, :, None]
-        columns = np.where(own < 0, -1, own * functions + np.arange(functions))
-        arrays = values, columns.reshape(size, -1), np.array(count)
-        found = np.asarray(_joint(hessian, Elements(*jax.device_put(arrays)), solvers))
-        parts.append(found[:count])
-    whole = np.concatenate(parts)
-    both = whole.shape[1] * whole.shape[2]
-    return whole.reshape(len(whole), both, both)
 
 
 def displaced(
@@ -126,8 +99,3 @@ def _with_slope(asked, psi, *arrays):
     value = lambda psi: jnp.ravel(function.call(owner, psi, *arrays))
     slope = jax.jacfwd(value)(psi)
     return function.call(owner, psi, *arrays), slope.reshape(len(slope), -1)
-
-
-@program(most=8)
-def _joint(hessian, elements: Elements, solvers) -> Float[Array, "q J t J t"]:
-    return solvers.positive.covariances(hessian, elements, joint=True)

@@ -5,6 +5,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
@@ -26,6 +27,7 @@ from .derivatives import (
 from .directions import curved
 from .evaluation import at_covered, psi_at
 from .posterior import Posterior, posterior_of
+from .summary import Summary, data_weights_of, summary_of
 
 
 class RegressionMap(eqx.Module):
@@ -128,6 +130,17 @@ class RegressionMap(eqx.Module):
         owner = *of_source, self.target, self.coefficients, self.origin
         values = at_covered(function, self.basis, owner, flat)
         return jax.tree.map(lambda v: v[0], values) if single else values
+
+    def summary(self) -> Summary:
+        """How it fits the data: what noise was found, how many parameters it took, which
+        data are odd. `print` it, or read its fields."""
+        return summary_of(self)
+
+    @property
+    def data_weights(self) -> Float[np.ndarray, " k"]:
+        r"""What the loss leaves of each datum in the order of `y`: $\rho'(s_i)$, between 0
+        and 1, of its squared residual s_i in units of the loss's scale; 1 for squares."""
+        return data_weights_of(self)
 
 
 def _value(owner, x, near):

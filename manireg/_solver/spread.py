@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._objective.problem import Problem
+from .._objective.problem import Problem, number_of_data
 from .._sources.checks import null_dimension
 from .leverages import Leverages
 
@@ -51,18 +51,28 @@ class Spread(NamedTuple):
 
 def spread_of(problem: Problem, model: Any, seen: Leverages) -> Spread:
     """`seen`: of the `scored_data`, which stand for all."""
-    heavy = np.asarray(problem.weights) > 0
-    k, n = int(np.sum(heavy)), problem.target.dim
-    dof, precision = k * n, problem.precision
-    if problem.noise is not None and problem.noise.axes is not None:
-        dof = int(np.sum(np.asarray(problem.noise.precisions)[heavy] > 0))
-    edf = float(np.sum(seen.leverages)) * k / len(seen.leverages)
+    k, n, precision = number_of_data(problem), problem.target.dim, problem.precision
+    dof = k * n - unknown_directions(problem)
+    edf = float(np.sum(seen.leverages))
+    if problem.owner is None:
+        edf *= k / len(seen.leverages)
     energies = model.energies
     rss, penalty = k * float(energies.loss), k * float(model.lam * energies.energy)
     null = null_dimension(problem.source, problem.energy.order) * n
     mean = None if precision.mean is None else float(precision.mean)
     robust = None if problem.misfit.squared else _robust(problem, seen, k, dof - edf)
     return Spread(rss, penalty, edf, dof, null, robust, mean)
+
+
+def unknown_directions(problem: Problem) -> int:
+    """Of all data, those along which nothing is known."""
+    if problem.noise is None or problem.noise.axes is None:
+        return 0
+    lacking = np.sum(np.asarray(problem.noise.precisions) == 0, axis=1)
+    heavy = np.asarray(problem.weights) > 0
+    if problem.owner is not None:
+        heavy &= np.append(True, np.diff(problem.owner) != 0)  # one row a datum
+    return int(np.sum(lacking[heavy]))
 
 
 def _robust(problem: Problem, seen: Leverages, k: int, left: float) -> float:

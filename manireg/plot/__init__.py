@@ -1,4 +1,5 @@
-"""Pictures for papers and notebooks: globes, cross-validation curves, coordinates, meshes.
+"""Pictures for papers and notebooks: globes, cross-validation curves, coordinates,
+residuals, meshes.
 
 matplotlib comes with the extra `plots` and is imported when a picture is drawn, without
 pyplot: figures carry no global state, show themselves in notebooks, and `save` writes
@@ -13,4 +14,5 @@ from ._globe import (
     sphere_path as sphere_path,
     view_of as view_of,
 )
+from ._residuals import residuals as residuals
 from ._surface import registration as registration, surface as surface

@@ -1,5 +1,6 @@
 """Cross-validation curves, and coordinates against inputs."""
 
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 else:
     Axes = Figure = Any
+
+BAND = 200  # inputs of a band
 
 
 def cv_curve(cv: Any, *, ax: Axes | None = None) -> Figure:
@@ -77,9 +80,17 @@ def coordinates(
     label: str | tuple[str, ...] = "input",
     level: float | None = None,
 ) -> Figure:
-    """Each coordinate of data `y` (k, ...) and `model` against one or two inputs `x`,
+    r"""Each coordinate of data `y` (k, ...) and `model` against one or two inputs `x`,
     (k,) or (k, 2), a panel each: curves for one input, maps for two, with the data as
-    dots in the same colours. `names` of the coordinates, `label` of the inputs."""
+    dots in the same colours. `names` of the coordinates, `label` of the inputs.
+
+    `level`, such as 0.95, for one input and a fitted map: around each curve where that
+    coordinate of the map is with this probability, input by input:
+    $y_a \pm z \sqrt{(U C U^\top)_{aa}}$ with covariance C and frame U of its `posterior`
+    and z the quantile of a normal variable.
+
+    **Raises** ValueError for other than one or two inputs, and for a `level` not between
+    0 and 1 or with two."""
     with matplotlib().rc_context(STYLE):
         x, y = np.asarray(x), np.asarray(y)
         if x.ndim == 2 and x.shape[1] > 2 or x.ndim > 2:
@@ -89,12 +100,19 @@ def coordinates(
         shape, data = y.shape[1:] or (1,), y.reshape(len(y), -1)
         across = shape[-1] if len(shape) == 2 else min(3, data.shape[1])
         down = -(-data.shape[1] // across)
-        picture = figure(0.5 + 2.1 * across, 0.5 + 1.5 * down)
         draw = _curves if x.size == len(x) else _maps
+        if level is not None and (draw is _maps or not 0 < level < 1):
+            raise ValueError(
+                "level: of bands around curves of one input, between 0 and 1; found "
+                f"{level} and `x` of shape {x.shape}."
+            )
+        picture = figure(0.5 + 2.1 * across, 0.5 + 1.5 * down)
         panels = picture.subplots(
             down, across, squeeze=False, sharex=True, sharey=draw is _maps
         )
         draw(panels.flat, model, x, data)
+        if level is not None:
+            _bands(panels.flat, model, x, level)
         labels = (label,) if isinstance(label, str) else label
         for c, panel in enumerate(panels.flat):
             if c >= data.shape[1]:
@@ -117,6 +135,18 @@ def _curves(panels: Any, model: Any, x: np.ndarray, data: np.ndarray) -> None:
     for panel, fitted, observed in zip(panels, curve.T, data.T, strict=False):
         panel.plot(inputs, fitted, color=BLUE, lw=1.2)
         panel.plot(x.ravel(), observed, ".", color=ORANGE, ms=3.5, mew=0)
+
+
+def _bands(panels: Any, model: Any, x: np.ndarray, level: float) -> None:
+    inputs = np.linspace(x.min(), x.max(), BAND)
+    at = inputs.reshape(-1, *x.shape[1:])
+    curve = np.asarray(model(at)).reshape(BAND, -1)
+    covariance, frames = model.posterior().covariance(at)
+    variances = np.einsum("qtn,qnm,qtm->qt", frames, covariance, frames)
+    radius = NormalDist().inv_cdf(0.5 + level / 2) * np.sqrt(np.maximum(variances, 0.0))
+    for panel, middle, r in zip(panels, curve.T, radius.T, strict=False):
+        ends = middle - r, middle + r
+        panel.fill_between(inputs, *ends, color=BLUE, alpha=0.18, lw=0, zorder=1)
 
 
 def _maps(panels: Any, model: Any, x: np.ndarray, data: np.ndarray) -> None:

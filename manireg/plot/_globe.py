@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..datasets._tables import directions, unit
+from ._band import envelope, spread_along
 from ._figure import BLUE, GREY, ORANGE, STYLE, ArrayLike, figure, figure_of, matplotlib
 
 if TYPE_CHECKING:
@@ -13,6 +14,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 else:
     Axes = Figure = Any
+
+DOT = 9.0  # area of a datum, in square points
+LEAST_DOT = 1.5
+BAND = 200  # regions along a path
 
 
 class Globe(NamedTuple):
@@ -32,14 +37,21 @@ class Globe(NamedTuple):
         turned = points / np.linalg.norm(points, axis=-1, keepdims=True) @ self.turn.T
         return turned[..., :2], turned[..., 2] >= 0
 
-    def points(self, points: ArrayLike, colours: Any = ORANGE, **style: Any) -> None:
-        """Dots at `points` (n, 3), in one colour or one each."""
+    def points(
+        self,
+        points: ArrayLike,
+        colours: Any = ORANGE,
+        sizes: ArrayLike = DOT,
+        **style: Any,
+    ) -> None:
+        """Dots at `points` (n, 3), in one colour or one each, likewise of one area."""
         place, near = self.flatten(points)
         colours = _colours(colours, len(place))
-        style = {"s": 9, "linewidths": 0.5, "edgecolors": "white", "zorder": 6} | style
-        self.axes.scatter(*place[near].T, c=colours[near], **style)
-        style |= {"alpha": 0.3, "zorder": 1.5}
-        self.axes.scatter(*place[~near].T, c=colours[~near], **style)
+        sizes = np.broadcast_to(np.asarray(sizes, float), len(place))
+        style = {"linewidths": 0.5, "edgecolors": "white", "zorder": 6} | style
+        for side, own in ((near, {}), (~near, {"alpha": 0.3, "zorder": 1.5})):
+            options = {"c": colours[side], "s": sizes[side]} | style | own
+            self.axes.scatter(*place[side].T, **options)
 
     def path(self, points: ArrayLike, colours: Any = BLUE, **style: Any) -> None:
         """The line through `points` (n, 3), in one colour or one a point; dashed on the
@@ -64,6 +76,23 @@ class Globe(NamedTuple):
         style |= {"alpha": 0.4, "zorder": 1, "capstyle": "butt"}
         lines = LineCollection(list(segments[far]), colors=colours[far], **style)
         self.axes.add_collection(lines, autolim=False)
+
+    def band(
+        self, outlines: Float[np.ndarray, "q m 3"], colours: Any = BLUE, **style: Any
+    ) -> None:
+        """The union of regions along a path, given by their rims in the order of the path,
+        and of what lies between two of them; pale on the far side."""
+        from matplotlib.patches import PathPatch
+        from matplotlib.path import Path
+
+        for side, alpha, order in ((1.0, 0.2, 2.5), (-1.0, 0.08, 0.8)):
+            turn = self.turn * [[1.0], [1.0], [side]]
+            pieces = [Path(p, closed=True) for p in envelope(unit(outlines) @ turn.T)]
+            if pieces:
+                # one path of them all: where they overlap, it is filled once
+                options = {"fc": colours, "lw": 0, "alpha": alpha, "zorder": order}
+                whole = Path.make_compound_path(*pieces)
+                self.axes.add_patch(PathPatch(whole, **(options | style)))
 
     def circles(
         self, centres: ArrayLike, radii: ArrayLike, colours: Any = GREY, **style: Any
@@ -161,6 +190,8 @@ def sphere_path(
     y: ArrayLike,
     *,
     a95: ArrayLike | None = None,
+    level: float | None = None,
+    weights: ArrayLike | None = None,
     view: ArrayLike | None = None,
     label: str = "input",
     level: float | None = None,
@@ -171,9 +202,12 @@ def sphere_path(
     circles of radius `a95` (k,) in degrees where it is given. What fills only a small
     part of the sphere is enlarged.
 
-    **Arguments:** `model` any callable from inputs to points, as `fit` returns; `view`
-    the direction towards the eye, by default `view_of` data and path; `label` names the
-    input; `ax` the axes to draw in, by default a new figure.
+    **Arguments:** `model` any callable from inputs to points, as `fit` returns; `level`
+    such as 0.95: the band of the confidence regions of a fitted map (each holds the map at
+    its input with that probability), by its `posterior`; `weights` (k,) the areas of the
+    dots, relative to the largest, such as `model.data_weights`; `view` the direction
+    towards the eye, by default `view_of` data and path; `label` names the input; `ax` the
+    axes to draw in, by default a new figure.
     """
     with matplotlib().rc_context(STYLE):
         from matplotlib.cm import ScalarMappable
@@ -183,6 +217,12 @@ def sphere_path(
         inputs = np.linspace(x.min(), x.max(), 1500)
         path = np.asarray(model(inputs.reshape(-1, *x.shape[1:])))
         seen = np.concatenate([unit(path[::10]), y])
+        outlines = None
+        if level is not None:
+            at = spread_along(inputs, unit(path), BAND)
+            region = model.posterior().region(at.reshape(-1, *x.shape[1:]), level)
+            outlines = np.asarray(region.outline())
+            seen = np.concatenate([seen, unit(outlines[:, ::9].reshape(-1, 3))])
         view = view_of(seen) if view is None else unit(view)
         off_centre = float(np.arccos(np.clip((seen @ view).min(), -1, 1)))
         off_centre += 0.0 if a95 is None else float(np.radians(np.max(np.asarray(a95))))
@@ -193,12 +233,24 @@ def sphere_path(
         colour = ScalarMappable(Normalize(x.min(), x.max()), dark)
         if a95 is not None:
             drawn.circles(y, a95, colour.to_rgba(x.ravel()))
+        if outlines is not None:
+            drawn.band(outlines, GREY)
         drawn.path(path, colour.to_rgba(inputs))
-        drawn.points(y, colour.to_rgba(x.ravel()))
+        sizes = DOT * np.ones(len(y)) if weights is None else _sizes(weights, len(y))
+        drawn.points(y, colour.to_rgba(x.ravel()), sizes)
         bar = drawn.figure.colorbar(colour, ax=ax, shrink=0.7, aspect=25, pad=0.03)
         bar.set_label(label)
         bar.outline.set_linewidth(0.4)
         return drawn.figure
+
+
+def _sizes(weights: ArrayLike, k: int) -> np.ndarray:
+    weights = np.asarray(weights, float)
+    if weights.shape != (k,):
+        raise ValueError(
+            f"weights: expected shape ({k},), one for each datum, found {weights.shape}."
+        )
+    return np.maximum(DOT * weights / np.max(weights), LEAST_DOT)
 
 
 def _turn(view: np.ndarray) -> np.ndarray:

@@ -2,14 +2,18 @@ import sys
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 import trimesh
 from matplotlib import colormaps
 from matplotlib._pylab_helpers import Gcf
 from matplotlib.image import imread
+from scipy.stats import chi2
 
+import manireg as mr
 from manireg import plot
+from manireg.plot._band import envelope, spread_along
 
 
 def spiral(t):
@@ -86,6 +90,105 @@ def test_sphere_path(tmp_path, a95):
     assert (tmp_path / "path.pdf").read_bytes().startswith(b"%PDF")
 
 
+def circle_about(centre, radius, m=73):
+    """A small circle, its first point again last."""
+    e1, e2 = np.linalg.svd(np.asarray(centre, float)[None])[2][1:]
+    angle = np.linspace(0, 2 * np.pi, m)[:, None]
+    ring = np.cos(angle) * e1 + np.sin(angle) * e2
+    return np.cos(radius) * np.asarray(centre) + np.sin(radius) * ring
+
+
+def inside(patch, places):
+    return patch.get_path().contains_points(np.asarray(places))
+
+
+def test_globe_band_is_the_union_of_its_regions():
+    drawn: Any = plot.globe(view=(1, 0, 0), graticule=0)
+    angle = np.linspace(-1.0, 1.0, 9)
+    centres = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    before = len(drawn.axes.patches)
+    drawn.band(np.stack([circle_about(c, 0.2) for c in centres]))
+    (band,) = drawn.axes.patches[before:]  # nothing is on the far side
+    for height, width in ((0.0, 0.9), (0.15, 0.8), (-0.15, 0.0)):
+        assert inside(band, [[width, height]])
+    # the hull of two regions reaches about as far as these, and no farther
+    assert not inside(band, [[0.0, 0.21]]) and not inside(band, [[0.98, 0.0]])
+    between = 0.5 * (angle[3] + angle[4])
+    assert inside(band, [[np.sin(between), np.sin(0.19)]])
+
+
+def test_globe_band_ends_at_the_rim():
+    drawn: Any = plot.globe(view=(1, 0, 0), graticule=0)
+    angle = np.linspace(0.0, np.pi, 30)
+    centres = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    before = len(drawn.axes.patches)
+    drawn.band(np.stack([circle_about(c, 0.1) for c in centres]))
+    near, far = drawn.axes.patches[before:]
+    assert near.get_alpha() > far.get_alpha() and near.zorder > far.zorder
+    for band in (near, far):
+        lengths = np.linalg.norm(band.get_path().vertices, axis=1)
+        assert lengths.max() == pytest.approx(1.0, abs=1e-12)
+        assert inside(band, [[0.995, 0.0], [0.5, 0.05]]).all()
+        assert not inside(band, [[-0.2, 0.0], [0.9, 0.2]]).any()
+
+
+@pytest.mark.parametrize("radius", [0.3, 1.2, 1e-9])
+def test_envelopes_are_on_the_near_side(radius):
+    """Area of what a cap shows, whose middle lies on the rim: half of the ellipse that
+    its circle is on the paper, and the rest up to the rim."""
+    rims = np.stack([circle_about([1.0, 0, 0], radius, 721)] * 2)
+    (piece,) = envelope(rims) if radius > 1e-6 else [np.zeros((3, 2))]
+    x, y = piece.T
+    area = 0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])
+    expected = radius - np.sin(radius) * np.cos(radius)
+    assert area == pytest.approx(expected, rel=3e-3, abs=1e-15)
+
+
+def test_band_follows_inputs_and_path():
+    inputs = np.linspace(2.0, 4.0, 501)
+    turn = np.where(inputs < 3, 0.0, inputs - 3)  # it stands, then goes
+    path = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    at = spread_along(inputs, path, 91)
+    assert at[0] == 2 and at[-1] == 4
+    steps = np.diff(at)
+    assert steps[0] == pytest.approx(3 * steps[-1], rel=0.02)
+
+
+@pytest.fixture(scope="module")
+def pole_path():
+    rng = np.random.default_rng(0)
+    x = np.linspace(0, 1, 25)
+    y = spiral(0.3 + 0.4 * x) + 0.05 * rng.normal(size=(25, 3))
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    return x, y, mr.fit(mr.Interval(0, 1), mr.Sphere(2), x, y, 1e-4)
+
+
+def test_sphere_path_with_its_band(pole_path):
+    x, y, model = pole_path
+    weights = np.linspace(0, 0.5, 25)
+    picture: Any = plot.sphere_path(model, x, y, level=0.9, weights=weights)
+    bare: Any = plot.sphere_path(model, x, y)
+    axes = picture.axes[0]
+    dots = [c for c in axes.collections if c.get_zorder() in (1.5, 6)]
+    sizes = np.sort(np.concatenate([c.get_sizes() for c in dots]))
+    assert sizes[0] == 1.5 and sizes[-1] == 9 and np.all(np.diff(sizes) >= 0)
+    assert sizes[-2] == pytest.approx(9 * weights[-2] / 0.5)
+    bands = axes.patches[len(bare.axes[0].patches) :]
+    drawn = plot.globe(view=plot.view_of(np.concatenate([spiral(x), y])))
+    assert bands and drawn.axes is not axes
+    area = [_area(p.get_path()) for p in bands]
+    wider: Any = plot.sphere_path(model, x, y, level=0.999)
+    more = [_area(p.get_path()) for p in wider.axes[0].patches[-len(bands) :]]
+    assert sum(more) > 1.2 * sum(area)
+    with pytest.raises(ValueError, match=r"weights: expected shape \(25,\)"):
+        plot.sphere_path(model, x, y, weights=weights[1:])
+
+
+def _area(path):
+    at = np.stack(np.meshgrid(*[np.linspace(-1, 1, 200)] * 2), axis=-1).reshape(-1, 2)
+    return np.mean(path.contains_points(at))
+
+
 def test_sphere_path_enlarges_what_is_small():
     x = np.linspace(0, 1, 20)
     picture: Any = plot.sphere_path(
@@ -158,6 +261,36 @@ def test_coordinates_curves():
     assert picture.axes[2].get_ylabel() == "$y_{2,1}$"
 
 
+@pytest.mark.parametrize("target", [mr.Euclidean(3), mr.Sphere(2)], ids=["R3", "S2"])
+def test_coordinates_with_bands(pole_path, target):
+    """Of each coordinate, nine tenths of random maps are below the upper end."""
+    x, y, model = pole_path
+    if target.dim == 3:
+        model = mr.fit(mr.Interval(0, 1), target, x, y, 1e-4)
+    picture: Any = plot.coordinates(model, x, y, level=0.8)
+    at = np.linspace(0, 1, 200)[20::20]  # at the end random maps leave N
+    drawn = model.posterior().sample(jax.random.key(0), 300)
+    values = np.array([np.asarray(one(at)) for one in drawn])
+    spread = np.ptp(np.quantile(values, [0.1, 0.9], axis=0), axis=0) / 2
+    curves = np.asarray(model(at)).T
+    for panel, expected, middle in zip(picture.axes, spread.T, curves, strict=True):
+        (band,) = panel.collections
+        corners = band.get_paths()[0].vertices
+        for t, r, m in zip(at, expected, middle, strict=True):
+            heights = corners[np.abs(corners[:, 0] - t) < 1e-9, 1]
+            middle_of = (heights.min() + heights.max()) / 2
+            assert middle_of == pytest.approx(m, abs=1e-6)
+            assert np.ptp(heights) / 2 == pytest.approx(r, rel=0.3)
+
+
+def test_bands_are_of_one_input():
+    x = np.random.default_rng(0).uniform(size=(9, 2))
+    with pytest.raises(ValueError, match=r"level: .*one input.*shape \(9, 2\)"):
+        plot.coordinates(lambda u: u, x, x, level=0.9)
+    with pytest.raises(ValueError, match="level: .*between 0 and 1; found 95"):
+        plot.coordinates(lambda u: u, x[:, 0], x, level=95)
+
+
 def test_coordinates_maps():
     x = np.random.default_rng(0).uniform(size=(30, 2))
     y = np.stack([x[:, 0], x[:, 1], x.sum(1), x[:, 0] * x[:, 1]], axis=-1)
@@ -174,6 +307,41 @@ def test_coordinates_maps():
     np.testing.assert_allclose(mesh.get_array().reshape(60, 60), grid.sum(-1))
     np.testing.assert_allclose(dots.get_array(), x.sum(1))
     assert picture.axes[2].get_title() == "c"
+
+
+def test_residuals(pole_path):
+    x, y, model = pole_path
+    found = model.summary()
+    picture: Any = plot.residuals(model)
+    along, quantiles, pull = picture.axes
+    dots = along.lines[0]
+    np.testing.assert_allclose(dots.get_xdata(), x)
+    np.testing.assert_allclose(dots.get_ydata(), found.each.left_out / found.sigma)
+    dots, _, diagonal = quantiles.lines
+    share = chi2.cdf(dots.get_xdata(), 2)
+    np.testing.assert_allclose(np.sort(share), (np.arange(25) + 0.5) / 25)
+    squares = dots.get_ydata()
+    np.testing.assert_allclose(squares, found.each.standardised**2)
+    assert np.all(np.diff(squares[np.argsort(share)]) >= 0)
+    np.testing.assert_array_equal(diagonal.get_xdata(), diagonal.get_ydata())
+    np.testing.assert_allclose(pull.lines[0].get_ydata(), found.each.leverages)
+    worst = sorted(map(str, found.worst.data))
+    for panel in picture.axes:
+        assert sorted(text.get_text() for text in panel.texts) == worst
+    assert along.get_xlabel() == "input" and quantiles.get_xscale() == "linear"
+    assert picture._repr_png_().startswith(b"\x89PNG")
+
+
+def test_residuals_of_two_inputs_with_an_outlier():
+    x = np.random.default_rng(0).uniform(size=(30, 2))
+    y = np.sum(x, axis=1, keepdims=True) + 0.01 * np.sin(50 * x[:, :1])
+    y[4] += 9.0
+    box = mr.Box([0, 0], [1, 1])
+    options = {"loss": mr.Huber(), "sigma": 0.01, "scatter": "none", "centres": 20}
+    model = mr.fit(box, mr.Euclidean(1), x, y, 1e-2, **options)
+    along, quantiles, _ = plot.residuals(model).axes
+    np.testing.assert_array_equal(along.lines[0].get_xdata(), np.arange(30))
+    assert along.get_xlabel() == "index" and quantiles.get_xscale() == "log"
 
 
 def test_coordinates_of_three_inputs():
