@@ -14,6 +14,15 @@ CHOSEN = {
     "gcv": "generalised cross-validation",
     "reml": "restricted likelihood",
 }
+SCATTER = (
+    "degrees of freedom",
+    "sigma, found",
+    "sigma, taken",
+    "phi (reduced chi^2)",
+    "tau (scatter added)",
+    "log density, left out",
+    "weights left",
+)
 
 
 def report(
@@ -50,25 +59,15 @@ def report(
     print_rows(rows, files)
 
 
-def noise_rows(model: Any, posterior: Any, degrees: float | None) -> dict[str, str]:
-    """How data scatter about the map, and which of them were let go."""
-    spread, problem = posterior.spread, model.problem
-    precision, misfit = problem.precision, problem.misfit
-    error = lambda distance: in_degrees(distance, degrees)
-    rows = {"effective parameters (edf)": f"{spread.edf:.1f} of {spread.dof}"}
-    found = np.sqrt(spread.found) if misfit.squared else misfit.scale
-    rows["noise (sigma_hat)"] = error(found)
-    if spread.precision is not None:
-        tau = float(precision.scatter)
-        rows["reduced chi^2, as given"] = f"{precision.phi:.3g}"
-        rows["additional scatter (tau)"] = error(tau)
-        if tau > 0 and precision.log_densities is not None:
-            rows["left-out data are likelier"] = _likelier(*precision.log_densities)
-    if not misfit.squared:
-        left = np.asarray(model.data_weights)
-        few = f"{np.sum(left < 0.5)} of {len(left)}"
-        rows["data of less than half their weight"] = few
-    return rows
+def noise_rows(model: Any, degrees: float | None) -> dict[str, str]:
+    """How data scatter about the map, and which of them were let go: the part of its
+    summary that is not told elsewhere."""
+    rows = model.summary().rows(degrees)
+    return {
+        name: value
+        for name, value in rows.items()
+        if name in SCATTER or name.startswith("note")
+    }
 
 
 def theta_row(name: str, radii: np.ndarray) -> dict[str, str]:
@@ -83,13 +82,6 @@ def in_degrees(distance: Any, degrees: float | None) -> str:
     if degrees is None:
         return f"{float(distance):.3g}"
     return f"{float(distance) * degrees:.3g} degrees"
-
-
-def _likelier(factor: float, additive: float) -> str:
-    better, gain = "with tau", additive - factor
-    if gain < 0:
-        better = "with all sigma times the root of chi^2 (--scatter factor)"
-    return f"{better}, by {abs(gain):.2g} in log density"
 
 
 def print_rows(rows: dict[str, str], files: list[Path]) -> None:

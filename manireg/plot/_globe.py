@@ -194,7 +194,6 @@ def sphere_path(
     weights: ArrayLike | None = None,
     view: ArrayLike | None = None,
     label: str = "input",
-    level: float | None = None,
     ax: Axes | None = None,
 ) -> Figure:
     """A curve on the sphere S^2: data `y` (k, 3) at scalar inputs `x` (k,), the path of

@@ -26,16 +26,14 @@ class Line(eqx.Module):
 
     lam = jnp.asarray(0.1 + 0.2)
     energies = types.SimpleNamespace(loss=0.0, energy=0.0, off_manifold=0.0)
-    problem = types.SimpleNamespace(
-        precision=None, misfit=types.SimpleNamespace(squared=True)
-    )
 
     def posterior(self):
         one = lambda x: np.ones((len(x), 1, 1))
-        spread = types.SimpleNamespace(edf=2.0, dof=3, found=1.0, precision=None)
-        return types.SimpleNamespace(
-            covariance=lambda x: (one(x), one(x)), spread=spread, scale=1.0
-        )
+        both = lambda x: (one(x), one(x))
+        return types.SimpleNamespace(covariance=both, scale=1.0)
+
+    def summary(self):
+        return types.SimpleNamespace(rows=lambda degrees: {})
 
 
 @pytest.fixture

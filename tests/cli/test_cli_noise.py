@@ -208,8 +208,8 @@ def test_a_line(tmp_path, monkeypatch):
     np.testing.assert_allclose(found["se_y"], expected, rtol=1e-3)
     slope = np.polynomial.Polynomial.fit(T, y, 1, w=1 / GIVEN)
     chi = np.sum(((y - slope(T)) / GIVEN) ** 2) / 13
-    assert f"reduced chi^2, as given {chi:.3g}" in printed
-    assert "(edf) 2.0 of 15" in printed and "(tau) 0" in printed
+    assert f"phi (reduced chi^2) {chi:.3g}" in printed
+    assert "degrees of freedom 2.0 of 15" in printed
 
 
 def near_equator(sigma):
@@ -239,13 +239,28 @@ def test_a_path_on_the_sphere(tmp_path, monkeypatch):
     assert "theta68 (path, not poles)" in printed
 
 
+@pytest.mark.slow
+def test_ranges_of_inputs(tmp_path, monkeypatch):
+    """Exact outputs of a line, at inputs that are known to a tenth: the line."""
+    monkeypatch.chdir(tmp_path)
+    shift = RNG.uniform(-0.05, 0.05, 15)
+    data = {"t": T + shift, "low": T + shift - 0.05, "high": T + shift + 0.05}
+    data |= {"y": 1 + 2 * T, "s": np.full(15, 0.01)}
+    line = ["--target", "euclidean", "--output", "y", "--sigma", "s", *STIFF]
+    found, _ = written(tmp_path, data, *line, "--x-min", "low", "--x-max", "high")
+    inside = (found["t"] > 0.1) & (found["t"] < 0.9)
+    np.testing.assert_allclose(
+        found["y"][inside], 1 + 2 * found["t"][inside], atol=0.05
+    )
+
+
 def test_outliers_are_counted(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     data = near_equator(np.full(15, 0.05))
     data["lat"][[3, 9]] += 5.0
     globe = ["--target", "sphere", "--lat-lon", "lat,lon"]
     _, printed = written(tmp_path, data, *globe, "--loss", "tukey", "--lam", 1)
-    assert "data of less than half their weight 2 of 15" in printed
+    assert "weights left 2 below a half" in printed
 
 
 @pytest.mark.slow
