@@ -128,6 +128,19 @@ def numbers(
     return np.array(texts, dtype=object).astype(float).T
 
 
+def refuse(
+    table: TextTable, name: str, bad: np.ndarray, demand: str, cure: str
+) -> None:
+    """Raises ValueError that names the first row where `bad`."""
+    if not bad.any():
+        return
+    i = int(np.argmax(bad))
+    raise ValueError(
+        f"{table.path}: {demand}, but column `{name}` has {tidy(table.columns[name][i])} "
+        f"in data row {table.rows[i]}. {cure} (line {table.lines[i]})."
+    )
+
+
 def _bad_entry(table: TextTable, name: str, option: str, bad: BadEntry) -> str:
     entry = tidy(table.columns[name][bad.index])
     first = f"first in {table.where(bad.index)}" if bad.count > 1 else ""

@@ -10,18 +10,32 @@ import typer
 
 import manireg as mr
 
-from .. import plot
-from .._input.shown import shown
-from .._selection.one_fit import STEPS_TO_THE_END
-from .._selection.orders import Order
-from .._solver.solve import checked
-from ..datasets._entries import is_data
+from .._selection.fit import chosen_fit
 from ..datasets._text_tables import TextTable, read_text_table
-from .axes import Axis, axis_of, lambda_unit
-from .columns import Missing, complete, find, numbers, split_names
+from .axes import axis_of, lambda_unit
+from .columns import Missing, complete, find, numbers, refuse, split_names
 from .errors import check_written, clean_errors
-from .report import report
-from .tables import Target, TargetName, read_target, write_table
+from .noise import (
+    A95,
+    MIDDLE,
+    Criterion,
+    Kappa,
+    Level,
+    Loss,
+    NoiseColumns,
+    Scattering,
+    Sigma,
+    XMax,
+    XMin,
+    XSigma,
+    check_level,
+    loss_of,
+)
+from .picture import draw
+from .queries import asked, grid, rows
+from .report import noise_rows, report, theta_row
+from .tables import TargetName, read_target, write_table
+from .uncertainty import theta, uncertainty
 
 Folds = Annotated[
     int | None,
@@ -45,11 +59,11 @@ def fit(
         ),
     ],
     input: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="Input column, of numbers or dates; several, with commas, span a box."
         ),
-    ],
+    ] = None,
     output: Annotated[
         str | None, typer.Option(help="Output columns, with commas.")
     ] = None,
@@ -60,10 +74,19 @@ def fit(
     weights: Annotated[
         str | None, typer.Option(help="Column of weights, 1/variance; positive.")
     ] = None,
+    sigma: Sigma = None,
+    a95: A95 = None,
+    kappa: Kappa = None,
+    x_sigma: XSigma = None,
+    x_min: XMin = None,
+    x_max: XMax = None,
+    loss: Loss = "squared",
+    scatter: Scattering = "additive",
     lam: Annotated[
         str,
-        typer.Option(help="Smoothness lambda: a number, or `auto`: cross-validated."),
+        typer.Option(help="Smoothness lambda: a number, or `auto`: see --criterion."),
     ] = "auto",
+    criterion: Criterion = "error",
     order: Annotated[
         str,
         typer.Option(
@@ -85,6 +108,7 @@ def fit(
         Path | None,
         typer.Option(help="Also draw data and fit (one or two inputs): PNG, PDF, SVG."),
     ] = None,
+    level: Level = 95.0,
     missing: Annotated[
         Missing,
         typer.Option(
@@ -97,8 +121,16 @@ def fit(
 ) -> None:
     """Fit a smooth map into a manifold to the rows of a table.
 
-    Writes predictions in the format of the output columns, and prints the lambda and
-    its cross-validated error.
+    Writes predictions in the format of the output columns, with columns that say how
+    sure they are, and prints the lambda, its cross-validated error and how data scatter.
+
+    On the sphere these columns are the ellipse that holds the path (not the data about it)
+    with --level percent - semi_major, semi_minor and azimuth of the longer axis - and
+    theta95, the radius of the circle as large, all in degrees; of one input also its speed
+    in degrees per unit of the input (of dates, second), with the standard error se_speed.
+    Of other targets they are standard errors: se in degrees for the circle, se_x, se_y,
+    se_z in degrees about the axes of space for rotations, se_NAME for each euclidean
+    output.
 
     Tables are text (UTF-8, UTF-16 or Windows-1252) separated by commas, semicolons, tabs,
     `|` or spaces. Lines that start with # or % are comments. Numbers may have decimal
@@ -111,6 +143,9 @@ def fit(
         manireg fit poles.csv --target sphere --input age --lat-lon lat,lon
             --weights precision --picture path.pdf
 
+        manireg fit poles.csv --target sphere --x-min from --x-max to --lat-lon lat,lon
+            --a95 a95 --loss huber --criterion reml
+
         manireg fit imu.csv --target rotations --input time --output qw,qx,qy,qz
             --predict times.csv --out orientation.csv
 
@@ -120,63 +155,72 @@ def fit(
         data, out = data.expanduser(), out.expanduser()
         picture = None if picture is None else picture.expanduser()
         check_written(picture, out)
+        check_level(level)
         _check_not_read(out, data, Path(predict))
         table = read_text_table(data)
+        noise = NoiseColumns(sigma, a95, kappa, x_sigma, x_min, x_max).found(table)
         option, outputs = _outputs(output, lat_lon)
-        inputs = [find(table, name, "--input") for name in split_names(input)]
+        inputs = [find(table, name, "--input") for name in _inputs(input, noise)]
         outputs = [find(table, name, option) for name in outputs]
         _check_once(inputs + outputs)
         weight = [] if weights is None else [find(table, weights, "--weights")]
-        table = complete(table, [*inputs, *outputs, *weight], missing)
-        asked = [] if predict.isdecimal() else [_asked(predict, inputs, missing)]
-        axes = [axis_of(name, [table, *asked]) for name in inputs]
+        names = [*inputs, *outputs, *weight, *noise.names]
+        table = complete(table, names, missing)
+        if not inputs:
+            table, inputs = noise.with_middle(table), [MIDDLE]
+        places = asked(predict, inputs, missing)
+        axes = [axis_of(name, [table, *places]) for name in inputs]
         x = np.stack([axis.floats(table) for axis in axes], axis=-1)
         there = read_target(target, table, outputs, lat_lon is not None)
         w = _weights(table, weight[0]) if weight else None
-        queries, texts = _queries(asked[0], axes) if asked else _grid(predict, x, axes)
+        queries, texts = rows(places[0], axes) if places else grid(predict, x, axes)
         for axis, values in zip(axes, x.T, strict=True):
             if np.ptp(values) == 0:
                 constant = axis.texts(values[:1])[0]
                 raise ValueError(
                     f"{data}: input column `{axis.name}` is constant, {constant}."
                 )
-        everything = np.concatenate([x, queries])
+        of_inputs = noise.of_inputs(table, axes)
+        ends = [
+            of_inputs[end][:, None] for end in ("x_min", "x_max") if end in of_inputs
+        ]
+        everything = np.concatenate([x, queries, *ends])
         lower, upper = everything.min(0), everything.max(0)
         one = len(inputs) == 1
         source = mr.Interval(lower[0], upper[0]) if one else mr.Box(lower, upper)
         shape = (-1,) if one else (-1, len(inputs))
-        problem = source, there.manifold, x.reshape(shape), there.points
+        x, queries = x.reshape(shape), queries.reshape(shape)
 
-        start, cv, p = time.perf_counter(), None, _order(order)
-        if lam == "auto":
-            cv = chosen(problem, w, folds, seed, p)
-            model, p = checked(cv.model, STEPS_TO_THE_END), cv.order
-        else:
-            model = mr.fit(*problem, _number(lam), weights=w, order=p)
-        predicted = np.array(model(queries.reshape(shape)))
+        start, asked_order = time.perf_counter(), _order(order)
+        given = {"weights": w, "order": asked_order, "loss": loss_of(loss)}
+        given |= noise.of_outputs(table, there)
+        value = None if lam == "auto" else _number(lam)
+        choice: dict[str, Any] = {"criterion": criterion, **of_inputs}
+        if folds is not None:
+            choice |= {"folds": min(folds, len(x)), "key": jax.random.key(seed)}
+        problem = source, there.manifold, x, there.points
+        model, cv = chosen_fit(*problem, value, given, scatter, **choice)
+        p = asked_order if cv is None else cv.order
+        predicted = np.array(model(queries))
+        posterior = model.posterior()
+        sure = uncertainty(posterior, target, there, queries, level)
         seconds = time.perf_counter() - start
 
-        write_table(out, [*inputs, *there.columns], texts, there.decode(predicted))
+        values = np.concatenate([there.decode(predicted), sure[1]], axis=1)
+        write_table(out, [*inputs, *there.columns, *sure[0]], texts, values)
         written = [out]
         if picture is not None:
-            _draw(picture, model, x.reshape(shape), there, axes)
+            draw(picture, model, posterior, x, there, axes, level)
             written.append(picture)
         summary = f"{len(x)} rows of {data.name}, {', '.join(inputs)} -> {target}"
+        more = noise_rows(model, there.degrees)
+        if theta(level) in sure[0]:
+            more |= theta_row(theta(level), sure[1][:, sure[0].index(theta(level))])
         starts = [f"{a.name} in seconds since {a.start}" for a in axes if a.dates]
-        more = {"dates": ", ".join(starts)} if starts else {}
+        more |= {"dates": ", ".join(starts)} if starts else {}
         unit = lambda_unit(axes, p)
-        report(summary, model, cv, there.degrees, seconds, written, more, unit, p)
-
-
-def chosen(
-    problem, w, folds: int | None, seed: int, order: Order = 2
-) -> mr.CrossValidation:
-    """Lambda, by leaving out each row or so many folds of them."""
-    options: dict[str, Any] = {"weights": w, "order": order}
-    if folds is None:
-        return mr.leave_one_out(*problem, **options)
-    key, folds = jax.random.key(seed), min(folds, len(problem[2]))
-    return mr.cross_validate(*problem, folds=folds, key=key, **options)
+        known = summary, model, cv, there.degrees, seconds, written, more
+        report(*known, unit, p, criterion)
 
 
 def _check_not_read(out: Path, *tables: Path) -> None:
@@ -194,6 +238,14 @@ def _outputs(output: str | None, lat_lon: str | None) -> tuple[str, list[str]]:
     raise ValueError("Give either --output or --lat-lon, the output columns.")
 
 
+def _inputs(input: str | None, noise: NoiseColumns) -> list[str]:
+    if input is not None:
+        return split_names(input)
+    if noise.x_min is not None:
+        return []
+    raise ValueError("Give --input, the input column, or --x-min and --x-max.")
+
+
 def _check_once(names: list[str]) -> None:
     for name in names:
         if names.count(name) > 1:
@@ -202,14 +254,8 @@ def _check_once(names: list[str]) -> None:
 
 def _weights(table: TextTable, name: str) -> np.ndarray:
     w = numbers(table, [name], "--weights")[:, 0]
-    bad = np.flatnonzero(w <= 0)
-    if bad.size:
-        first = int(bad[0])
-        raise ValueError(
-            f"{table.path}: weights must be positive, but column `{name}` has "
-            f"{shown(w[first])} in data row {table.rows[first]}. Remove the row (line "
-            f"{table.lines[first]}) or give a small weight."
-        )
+    cure = "Remove the row or give a small weight"
+    refuse(table, name, w <= 0, "weights must be positive", cure)
     return w
 
 
@@ -231,60 +277,3 @@ def _order(order: str) -> Any:
             f"--order is 1, 2, 3 or 4, several with commas, or auto, found {order!r}."
         ) from None
     return several[0] if len(several) == 1 else several
-
-
-def _asked(predict: str, inputs: list[str], missing: Missing) -> TextTable:
-    """The table of inputs to predict at."""
-    file = Path(predict).expanduser()
-    if not file.is_file() and is_data(predict):
-        raise ValueError(f"--predict {predict} is no whole number, and no such file.")
-    table = read_text_table(file)
-    return complete(table, [find(table, n, "--input") for n in inputs], missing)
-
-
-def _queries(table: TextTable, axes: list[Axis]) -> tuple[np.ndarray, list[list[str]]]:
-    """Inputs (n, m) to predict at, the rows of a file, and their texts, as given."""
-    floats = np.stack([axis.floats(table) for axis in axes], axis=-1)
-    return floats, [axis.given(table) for axis in axes]
-
-
-def _grid(predict: str, x: np.ndarray, axes: list[Axis]):
-    """The same for a grid over the data."""
-    each = max(2, round(int(predict) ** (1 / len(axes))))
-    ticks = [np.linspace(a, b, each) for a, b in zip(x.min(0), x.max(0), strict=True)]
-    grid = np.meshgrid(*ticks, indexing="ij")
-    floats = np.stack(grid, axis=-1).reshape(-1, len(axes))
-    texts = [axis.texts(column) for axis, column in zip(axes, floats.T, strict=True)]
-    return floats, texts
-
-
-def _draw(path: Path, model: Any, x: np.ndarray, there: Target, axes: list[Axis]):
-    y, one = there.points, x.ndim == 1
-    names = there.columns if y[0].size == len(there.columns) else None
-    labels = tuple(axis.label for axis in axes)
-    if one and isinstance(there.manifold, mr.Sphere) and there.manifold.dim == 2:
-        picture = plot.sphere_path(model, x, y, label=labels[0])
-    elif one and len(there.columns) < y[0].size == 2:
-        picture = plot.coordinates(
-            *_unwrapped(model, x, there),
-            names=(f"{there.columns[0]} (degrees)",),
-            label=labels[0],
-        )
-    else:
-        picture = plot.coordinates(model, x, y, names=names, label=labels)
-    plot.save(picture, path)
-
-
-def _unwrapped(model: Any, x: np.ndarray, there: Target):
-    """Model, inputs and data of a circle as angles in degrees that do not jump."""
-
-    def angle(t):
-        return np.unwrap(there.decode(np.asarray(model(t)))[:, 0], period=360)
-
-    grid = np.linspace(x.min(), x.max(), 500)
-    fitted = np.interp(x, grid, angle(grid))
-    return (
-        angle,
-        x,
-        fitted + (there.decode(there.points)[:, 0] - fitted + 180) % 360 - 180,
-    )

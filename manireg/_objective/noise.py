@@ -4,7 +4,7 @@ relative to their mean, so that lambda keeps its meaning, and that mean itself."
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .._input.precision import as_scalar
 from .._sources.noise import Noise
@@ -40,7 +40,9 @@ def equal_precisions(k: int) -> Precision:
 
 
 def precision_of(
-    noise: Noise, shares: Float[np.ndarray, " k"], scatter: float = 0.0
+    noise: Noise,
+    shares: Float[np.ndarray, " k"] | Bool[np.ndarray, " k"],
+    scatter: float = 0.0,
 ) -> Precision:
     r"""Of variances $\sigma_i^2 + \tau^2$ along each axis, $\tau$ = `scatter`; what is
     not known along an axis stays so. `shares` of the data in the mean."""

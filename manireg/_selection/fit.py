@@ -1,11 +1,12 @@
 """The one-call path."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, Literal
 
 from .._input.numbers import Numbers
 from .._objective.problem import Problem, make_problem
-from .._objective.robust import AbstractLoss
+from .._objective.robust import AbstractLoss, Squared, check_loss
 from .._solver.geodesic_loss import solve_geodesic
 from .._solver.model import RegressionMap
 from .._solver.solve import checked, solve
@@ -105,26 +106,57 @@ def fit(
         "tension": tension,
         "order": order,
     }
-    _check(lam, order, distance, folds, loss)
+    choice = {"distance": distance, "criterion": criterion, "folds": folds}
+    options |= {"x_sigma": x_sigma, "x_min": x_min, "x_max": x_max, "x_error": x_error}
+    found = chosen_fit(source, target, x, y, lam, data, scatter, **choice, **options)
+    return found[0]
+
+
+def chosen_fit(
+    source: AbstractSource,
+    target: AbstractManifold,
+    x: Numbers,
+    y: Numbers,
+    lam: Numbers | None,
+    data: dict[str, Any],
+    scatter: Scatter = "additive",
+    *,
+    x_sigma: Numbers | None = None,
+    x_min: Numbers | None = None,
+    x_max: Numbers | None = None,
+    x_error: Literal["latent", "effective"] = "latent",
+    distance: Literal["chord", "geodesic"] = "chord",
+    criterion: CriterionName = "error",
+    folds: int | None = None,
+    **options,
+) -> tuple[RegressionMap, CrossValidation | None]:
+    """What `fit` does, with the last choice of lambda before errors in x were looked at;
+    None where it was given. `data`: arguments of `make_problem`, and the order or
+    orders."""
+    data = {"order": 2, "loss": "squared"} | data
+    _check(lam, data["order"], distance, folds, data["loss"], criterion)
     check_scatter(scatter)
     inexact = _input_errors(source, x, x_sigma, x_min, x_max, x_error)
+    problem, choices = (source, target, x, y), []
     if lam is not None:
-        model, again = _given(source, target, x, y, lam, distance, data, options)
+        model, again = _given(*problem, lam, distance, data, options)
     elif folds is not None:
-        model, again = _by_folds(source, target, x, y, folds, data, options)
+        model, again = _by_folds(*problem, folds, data, options, choices)
     else:
-        model, again = _along_path(source, target, x, y, criterion, data, options)
+        model, again = _along_path(*problem, criterion, data, options, choices)
     model = with_estimated_noise(model, again, scatter)
-    if inexact is None:
-        return model
-    if x_error == "effective":
-        return with_effective_variance(model, inexact, again, scatter)
-    progress = options.get("progress", True)
-    return with_latent_inputs(model, inexact, lam is None, scatter, progress)
+    if inexact is not None and x_error == "effective":
+        model = with_effective_variance(model, inexact, again, scatter)
+    elif inexact is not None:
+        progress = options.get("progress", True)
+        model = with_latent_inputs(model, inexact, lam is None, scatter, progress)
+    if not choices:
+        return model, None
+    return model, dataclasses.replace(choices[-1], others=choices[0].others)
 
 
 Again = Callable[[Problem, RegressionMap], RegressionMap]
-CALLS = 6  # from a choice along the path to the user's line
+CALLS = 7  # from a choice along the path to the user's line
 
 
 def _given(
@@ -144,16 +176,23 @@ def _given(
 
 
 def _by_folds(
-    source, target, x, y, folds, data, options
+    source, target, x, y, folds, data, options, choices: list[CrossValidation]
 ) -> tuple[RegressionMap, Again]:
+    """The same with a choice of lambda, which goes to `choices`, as do those of repeated
+    fits."""
     options = {**options, "folds": folds}
-    model = cross_validate(source, target, x, y, **data, **options).model
+    choices.append(cross_validate(source, target, x, y, **data, **options))
     options["progress"] = False
-    return model, lambda problem, _: cross_validate(problem, **options).model
+
+    def again(problem, model):
+        choices.append(cross_validate(problem, **options))
+        return choices[-1].model
+
+    return choices[0].model, again
 
 
 def _along_path(
-    source, target, x, y, criterion, data, options
+    source, target, x, y, criterion, data, options, choices: list[CrossValidation]
 ) -> tuple[RegressionMap, Again]:
     judge, options = criterion_of(criterion), dict(options)
     lams = options.pop("lams", None)
@@ -172,11 +211,12 @@ def _along_path(
 
     def again(problem, model):
         parts = {**options, "progress": False}
-        return checked(chosen(problem, lams, model, **parts).model, STEPS_TO_THE_END)
+        choices.append(chosen(problem, lams, model, **parts))
+        return checked(choices[-1].model, STEPS_TO_THE_END)
 
     first = lambda problem, lams: chosen(blunted(problem), lams, **options)
-    model = over_orders(first, source, target, x, y, lams, **data).model
-    return checked(model, STEPS_TO_THE_END), again
+    choices.append(over_orders(first, source, target, x, y, lams, **data))
+    return checked(choices[0].model, STEPS_TO_THE_END), again
 
 
 def _input_errors(source, x, x_sigma, x_min, x_max, x_error: str):
@@ -191,7 +231,9 @@ def _input_errors(source, x, x_sigma, x_min, x_max, x_error: str):
     )
 
 
-def _check(lam, order: Order, distance: str, folds: int | None, loss) -> None:
+def _check(
+    lam, order: Order, distance: str, folds: int | None, loss, criterion: str
+) -> None:
     if distance not in ("chord", "geodesic") or (
         distance == "geodesic" and lam is None
     ):
@@ -201,10 +243,15 @@ def _check(lam, order: Order, distance: str, folds: int | None, loss) -> None:
         )
     if folds is not None and lam is not None:
         raise ValueError("folds: there is nothing to choose where `lam` is given.")
-    if folds is not None and loss != "squared":
+    if folds is not None and not isinstance(check_loss(loss), Squared):
         raise ValueError(
             "folds: each would have robust fits to start anew; leave `folds` out, to "
             "choose lambda by one fit of all data."
+        )
+    if folds is not None and criterion != "error":
+        raise ValueError(
+            f"folds: they have an error, and {criterion!r} is of one fit of all data; "
+            "leave out one of them."
         )
     if lam is not None and not isinstance(order, int):
         raise ValueError(

@@ -23,4 +23,9 @@ from ._polar_wander import (
     polar_wander as polar_wander,
     polar_wander_plates as polar_wander_plates,
 )
+from ._poles import (
+    PalaeomagneticPoles as PalaeomagneticPoles,
+    palaeomagnetic_plates as palaeomagnetic_plates,
+    palaeomagnetic_poles as palaeomagnetic_poles,
+)
 from ._tables import data_folder as data_folder, read_table as read_table

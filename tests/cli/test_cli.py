@@ -1,5 +1,6 @@
 """The command line from end to end: real fits, small."""
 
+import re
 import subprocess
 import sys
 import warnings
@@ -12,8 +13,9 @@ from matplotlib.image import imread
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-import manireg as mr
+from manireg import datasets
 from manireg._cli.app import app
+from manireg._cli.demo import running_mean
 from manireg._cli.errors import clean_errors
 from manireg.datasets import read_table
 
@@ -61,14 +63,28 @@ def fit(tmp_path):
 
 def test_demo(tmp_path):
     out = tmp_path / "demo.png"
-    result = run("demo", "--plate", "europe", "--out", out, "--folds", 4)
+    result = run("demo", "--plate", "East_Antarctica", "--out", out)
     assert result.exit_code == 0, result.output
-    assert "33 poles of europe, 0 to 320 million years ago" in result.output
-    residual = result.output.split("residual, rms")[1].split()[0]
-    assert 0.3 < float(residual) < 4
-    inside = result.output.split("cone of")[1].split()[0]
-    assert 17 < int(inside) <= 33
+    printed = " ".join(result.output.split())
+    assert "18 poles of east_antarctica, 1 to 515 million years" in printed
+    assert "(restricted likelihood)" in printed and "reduced chi^2" in printed
+    ((low, high),) = re.findall(r"poles\) ([\d.]+) to ([\d.]+) degrees", printed)
+    assert 1 < float(low) < float(high) < 90
     assert imread(out).shape[1] > 800
+
+
+def test_running_mean():
+    """Four poles about a common one, then two, which are too few."""
+    angle = np.radians([[80, 0], [80, 180], [80, 90], [80, 270], [0, 0], [0, 0]])
+    lat, lon = angle.T
+    points = np.stack(
+        [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]
+    )
+    ages = np.array([1.0, 2.0, 28.0, 29.0, 95.0, 96.0])
+    poles = datasets.PalaeomagneticPoles(ages, points.T, np.ones(6), np.full(6, "a"))
+    (piece,) = running_mean(poles, window=60.0)
+    np.testing.assert_allclose(piece, [[0, 0, 1]] * len(piece), atol=1e-15)
+    assert len(piece) == 3  # at 10, 20 and 30 Ma
 
 
 @pytest.mark.parametrize(
@@ -232,6 +248,7 @@ def test_mistakes(tmp_path, monkeypatch, arguments, message):
     assert result.stderr.startswith("manireg: ") and result.stderr.count("\n") == 1
 
 
+FIT = "manireg._cli.fit.chosen_fit"
 STOPPED = """fit: Newton stopped after 60 steps at a gradient of 0.1.
 
 Take a larger `lam`."""
@@ -280,7 +297,7 @@ def raises(error):
     ],
 )  # fmt: skip
 def test_failed_fit(sphere_csv, monkeypatch, fail, said):
-    monkeypatch.setattr(mr, "fit", fail)
+    monkeypatch.setattr(FIT, fail)
     result = run(
         "fit", sphere_csv, "--target", "sphere", "--input", "age", *OUTPUT, "--lam", 1
     )
@@ -289,7 +306,7 @@ def test_failed_fit(sphere_csv, monkeypatch, fail, said):
 
 
 def test_interrupt(sphere_csv, monkeypatch):
-    monkeypatch.setattr(mr, "fit", raises(KeyboardInterrupt()))
+    monkeypatch.setattr(FIT, raises(KeyboardInterrupt()))
     result = run(
         "fit", sphere_csv, "--target", "sphere", "--input", "age", *OUTPUT, "--lam", 1
     )
@@ -315,7 +332,10 @@ def test_missing_file_and_plate(tmp_path):
     assert result.exit_code == 2 and "no.csv: no such file." in result.stderr
     result = run("demo", "--plate", "atlantis")
     assert result.exit_code == 2
-    assert "No plate 'atlantis'; there are: australia, europe, india" in result.stderr
+    assert (
+        "No plate 'atlantis' with 15 poles; there are: gondwana, amazonia"
+        in result.stderr
+    )
 
 
 def test_help_shows_examples():

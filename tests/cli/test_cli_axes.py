@@ -27,17 +27,25 @@ class Line(eqx.Module):
     lam = jnp.asarray(0.1 + 0.2)
     energies = types.SimpleNamespace(loss=0.0, energy=0.0, off_manifold=0.0)
 
+    def posterior(self):
+        one = lambda x: np.ones((len(x), 1, 1))
+        both = lambda x: (one(x), one(x))
+        return types.SimpleNamespace(covariance=both, scale=1.0)
+
+    def summary(self):
+        return types.SimpleNamespace(rows=lambda degrees: {})
+
 
 @pytest.fixture
 def written(tmp_path, monkeypatch):
     """The lines of the predictions, and what was printed."""
     reached = {}
 
-    def fit(source, target, x, y, lam, weights=None, order=2):
+    def fit(source, target, x, y, lam, *_, **__):
         reached["x"] = np.asarray(x)
-        return Line(source)
+        return Line(source), None
 
-    monkeypatch.setattr(mr, "fit", fit)
+    monkeypatch.setattr("manireg._cli.fit.chosen_fit", fit)
     monkeypatch.chdir(tmp_path)
 
     def written(times, predict=40, name="time", asked=None):
@@ -63,7 +71,7 @@ def written(tmp_path, monkeypatch):
         assert result.exit_code == 0, result.output + repr(result.exception)
         with (tmp_path / "o.csv").open(newline="") as file:
             header, *pairs = csv.reader(file)
-        assert header == [name, "y"]
+        assert header == [name, "y", "se_y"]
         return [p[0] for p in pairs], [float(p[1]) for p in pairs], reached["x"], result
 
     return written

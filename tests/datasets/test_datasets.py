@@ -133,6 +133,29 @@ def test_polar_wander_names_the_plates():
         datasets.polar_wander("atlantis")
 
 
+def test_palaeomagnetic_poles():
+    plates = datasets.palaeomagnetic_plates()
+    assert plates[0] == "gondwana" and len(plates) == 18
+    everything = datasets.palaeomagnetic_poles()
+    assert len(everything.ages) == 594 and np.all(np.diff(everything.ages) >= 0)
+    assert np.isnan(everything.a95).sum() == 1  # has no circle in the table
+    gondwana = datasets.palaeomagnetic_poles("gondwana")
+    assert len(gondwana.ages) == 194 and len(set(gondwana.plates)) == 12
+    assert gondwana.ages[0] == gondwana.ages[1] == 1 and gondwana.a95[1] == 4
+    first = np.radians(-85.5), np.radians(141.7)
+    expected = np.cos(first[0]) * np.cos(first[1]), np.cos(first[0]) * np.sin(first[1])
+    np.testing.assert_allclose(gondwana.directions[1], [*expected, np.sin(first[0])])
+    counts = [len(datasets.palaeomagnetic_poles(plate).ages) for plate in plates[1:]]
+    assert sum(counts) == 594
+    assert {*datasets.palaeomagnetic_plates(15)} == {
+        "gondwana", *(p for p, n in zip(plates[1:], counts, strict=True) if n >= 15)
+    }  # fmt: skip
+    with pytest.raises(
+        ValueError, match="No plate 'atlantis'; there are: gondwana, am"
+    ):
+        datasets.palaeomagnetic_poles("atlantis")
+
+
 def test_a95_weights():
     weights = datasets.a95_weights([1.0, 2.0, 4.0])
     np.testing.assert_allclose(weights / weights[0], [1, 1 / 4, 1 / 16])
