@@ -118,7 +118,7 @@ class ObservedInformation(AbstractInformation):
     def draws(self, key, m):
         n = len(self.factor)
         normal = np.asarray(jax.random.normal(key, (n, m)))
-        found = solve_triangular(self.factor, normal, lower=True, trans="T")
+        found = solve_triangular(self.factor, normal, lower=True, trans=1)
         return found.T.reshape(m, -1, self.t)
 
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._algebra.covariances import Elements
@@ -21,17 +22,17 @@ class Leverages(NamedTuple):
     """Of each of n data, in units of the mean precision: r coordinates of a residual, those
     of the ambient space or the principal axes of its precision."""
 
-    residuals: Float[Array, "n r"]
-    left_out: Float[Array, "n r"]
+    residuals: Float[Array | np.ndarray, "n r"]
+    left_out: Float[Array | np.ndarray, "n r"]
     """In the fit without the datum, to first order."""
-    leverages: Float[Array, "n r"]
+    leverages: Float[Array | np.ndarray, "n r"]
     """The diagonal of h_ii."""
-    squares: Float[Array, " n"]
+    squares: Float[Array | np.ndarray, " n"]
     """Of geodesic lengths, which residuals are to third order."""
-    rho: Float[Array, "n 3"]
+    rho: Float[Array | np.ndarray, "n 3"]
     """Of these squares, with the first and the second derivative: what a datum costs, and
     what a robust loss leaves of its weight."""
-    errors: Float[Array, " n"]
+    errors: Float[Array | np.ndarray, " n"]
     """Length of the residual left out, as the loss sees it: the root of its rho."""
 
 
