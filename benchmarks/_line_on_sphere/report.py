@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import ttest_rel
 
 from manireg import plot
-from manireg._selection.scores import cut_errors
+from manireg._selection.criteria import cut_errors
 from manireg.plot._figure import STYLE
 
 from .methods import METHODS

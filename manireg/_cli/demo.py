@@ -12,8 +12,8 @@ import manireg as mr
 
 from .. import datasets
 from .._input.shown import shown
+from .._selection.chosen_fit import chosen_fit
 from .._selection.criteria import CriterionName
-from .._selection.fit import chosen_fit
 from ..datasets import PalaeomagneticPoles
 from ..datasets._tables import unit
 from .demo_picture import draw_poles

@@ -10,7 +10,7 @@ import typer
 
 import manireg as mr
 
-from .._selection.fit import chosen_fit
+from .._selection.chosen_fit import chosen_fit
 from ..datasets._text_tables import TextTable, read_text_table
 from .axes import axis_of, lambda_unit
 from .columns import Missing, complete, find, numbers, refuse, split_names

@@ -4,12 +4,13 @@ relative to their mean, so that lambda keeps its meaning, and that mean itself."
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from .._input.precision import as_scalar
+from .._sources.checks import is_concrete
 from .._sources.noise import Noise
 from .losses import AbstractMisfit, GeodesicMisfit, WhitenedMisfit
-from .robust import AbstractLoss
+from .robust import AbstractLoss, Squared
 
 
 class Precision(eqx.Module):
@@ -20,7 +21,7 @@ class Precision(eqx.Module):
     trace over n)."""
     mean: Float[Array, ""] | None
     """In units of N^-2, or None: only ratios are known."""
-    scatter: Float[ArrayLike, ""] = 0.0
+    scatter: float = 0.0
     r"""$\tau$, added to what is known."""
     phi: float | None = None
     r"""Reduced $\chi^2$ of the fit without it; None: not looked at."""
@@ -59,7 +60,18 @@ def precision_of(
 
 def misfit_of(precision: Precision, loss: AbstractLoss) -> AbstractMisfit:
     """The scale of a robust loss is that of the noise where it is known; else it has to
-    be estimated, and is 1 until then."""
-    scale = 1.0 if precision.mean is None else float(precision.mean) ** -0.5
+    be estimated, and is not a number until then."""
+    scale = np.nan if precision.mean is None else float(precision.mean) ** -0.5
+    scale = 1.0 if isinstance(loss, Squared) else scale
     kind = GeodesicMisfit if precision.relative.ndim == 1 else WhitenedMisfit
     return kind(loss, scale)
+
+
+def check_scale(misfit: AbstractMisfit) -> None:
+    """**Raises** ValueError where it was not given."""
+    if is_concrete(misfit.scale) and np.isnan(np.asarray(misfit.scale)):
+        raise ValueError(
+            f"loss: {type(misfit.loss).__name__} counts in standard deviations, which are "
+            "not known here. Give `sigma` or `precision`, or use `mr.fit`, which finds "
+            "them from the data."
+        )

@@ -151,6 +151,19 @@ def make_problem(
       half a spacing), factor by factor in products.
     - `weights`: `(k,)` of the squared errors, at least 0; default 1. Only ratios matter:
       the loss is a weighted mean. Data of weight 0 are not fitted and not scored.
+    - `sigma`: the standard deviation of each datum per tangent direction, `(k,)` or one
+      number, in the unit of the target (radians on the sphere; see `from_a95`,
+      `from_kappa`). Data are weighed by their precisions relative to the mean one, so
+      lambda keeps its meaning; the absolute scale is used by posteriors, likelihoods and
+      robust losses.
+    - `precision`: inverse covariances in its place, where noise depends on the direction:
+      `(k, t, t)` in flattened ambient coordinates, whose part in $T_{y_i}N$ counts, or
+      `(k, n, n)` in the coordinates of `frames`. The residual is $\log_{y_i} \Phi(x_i)$.
+      Zero along a direction: data that slide there.
+    - `frames`: orthonormal tangent vectors at each datum as columns, `(k, t, n)`.
+    - `loss`: what a residual costs: `"squared"`, or `Huber()`, `Tukey()`, `StudentT()`,
+      which let go of outliers. They count in standard deviations: without `sigma` or
+      `precision` only `fit` can use them, which finds their scale.
     - `centres`: about how many local polynomials; default about k on curves, 0.4 k on
       surfaces, 0.8 k in dimension 3 (in sizes that share programs), within 32..96, 48..384
       and 64..144 (on products about as many). More resolve finer detail; the cost grows
@@ -195,8 +208,9 @@ def make_problem(
 
     **Raises** ValueError for float32 mode, wrong shapes, NaN, masked or missing entries,
     points off the source or the target (reflections among rotations are named), too few
-    distinct inputs of positive weight (on flat sources C(p - 1 + m, m), else m + 2), an
-    `order` that the source or the target does not allow, tension that is negative, on a
+    distinct inputs of positive weight (on flat sources C(p - 1 + m, m), else m + 2), noise
+    that is not as above (zero or negative, not symmetric, frames off the tangent space),
+    an `order` that the source or the target does not allow, tension that is negative, on a
     source that is not `Ambient` or of another order than 2.
     """
     check_x64(source)

@@ -39,7 +39,8 @@ def bootstrap(model: RegressionMap, key: PRNGKeyArray, m: int) -> list[Regressio
     noise, target = problem.noise, problem.target
     if noise is not None and np.any(np.asarray(noise.precisions) == 0):
         raise ValueError(
-            "bootstrap: some precisions are zero along an axis, where no datum can be drawn."
+            "bootstrap: some precisions are zero along an axis, where no datum can be "
+            "drawn."
         )
     fitted = model(problem.source.from_ambient(problem.x))
     flat = np.asarray(fitted).reshape(len(problem.y), -1)

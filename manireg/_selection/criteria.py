@@ -9,7 +9,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import BarycentricInterpolator, PchipInterpolator
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from .._solver.spread import Spread
 
@@ -48,7 +48,7 @@ class LeftOutError(AbstractCriterion):
     """The largest tenth of the errors cut to the ninth decile."""
 
     def judged(self, lams, errors, spreads):
-        return np.stack([_cut(e) for e in errors.T], axis=1)
+        return np.stack([cut_errors(e) for e in errors.T], axis=1)
 
     def better(self, lams, judged, spreads):
         return vertex(lams, np.mean(judged, axis=0))
@@ -68,8 +68,8 @@ class GeneralisedCrossValidation(AbstractCriterion):
 
 class RestrictedLikelihood(AbstractCriterion):
     r"""Minus twice the log of the marginal likelihood of the data, restricted to what is
-    not in the null space of the energy, with $\sigma$ as given or at its best (mathematics:
-    10.3). Of the determinants in it,
+    not in the null space of the energy, with $\sigma$ as given or at its best
+    (mathematics: 10.3). Of the determinants in it,
 
     $$\frac{d}{d \log \lambda} (\log \det H - \log {\det}_+ \lambda Q)
     = d_0 - \mathrm{edf},$$
@@ -110,12 +110,13 @@ class RestrictedLikelihood(AbstractCriterion):
             return None
         around = slice(max(left - 1, 0), left + 3)
         x = np.log(lams)
-        ends, four = x[left : left + 2], slopes[around]
+        ends, four = tuple(x[left : left + 2].tolist()), slopes[around]
         enclosed = slopes[left] < 0 <= slopes[left + 1]
         if not (enclosed and np.all(np.isfinite(four))):
             return None
         cubic = BarycentricInterpolator(x[around], four)
-        zero = brentq(lambda at: float(cubic(at)), *ends, xtol=SETTLED / 10)
+        zero = root_scalar(lambda at: float(cubic(at)), bracket=ends, xtol=SETTLED / 10)
+        zero = float(zero.root)
         return float(np.exp(zero)) if np.min(np.abs(x - zero)) > SETTLED else None
 
 
@@ -145,8 +146,8 @@ def _each(spread: Spread | None, value) -> float:
     return np.inf if spread is None else float(np.nan_to_num(value(spread), nan=np.inf))
 
 
-def _cut(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """All infinite where one is."""
+def cut_errors(errors: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """The largest tenth cut to the ninth decile; all infinite where one is."""
     if not np.all(np.isfinite(errors)):
         return np.full_like(errors, np.inf)
     return np.minimum(errors, np.quantile(errors, 0.9))

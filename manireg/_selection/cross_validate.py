@@ -5,6 +5,7 @@ from jaxtyping import PRNGKeyArray
 
 from .._input.numbers import Numbers
 from .._objective.arguments import on_host
+from .._objective.noise import check_scale
 from .._objective.problem import Problem
 from .._objective.robust import AbstractLoss
 from .._objective.wavelengths import anchor
@@ -59,6 +60,7 @@ def cross_validate(
 
     - `source`, `target`, `x`, `y`, `weights`, `centres`, `degree`, `width`, `graded`,
       `tension`: as in `make_problem`; or a `Problem` in place of them all.
+    - `sigma`, `precision`, `frames`, `loss`: as in `make_problem`, as they are given.
     - `lams`: the grid, positive, in any order; equal ones are tried once. Default
       `lambda_grid`, extended (at most twice) where the best value sits on an edge.
     - `folds`: at most the number of data (of positive weight); default 10, or that number
@@ -75,6 +77,7 @@ def cross_validate(
     """
 
     def of(problem: Problem, given: Numbers | None) -> CrossValidation:
+        check_scale(problem.misfit)
         default = given is None
         training = training_sets(problem.weights, folds, key)
         grid = np.asarray(lambda_grid(problem)) if default else check_lams(given)

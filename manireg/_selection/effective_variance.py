@@ -1,6 +1,6 @@
-r"""Inputs known within errors, by their effect on the outputs: along the velocity v of the
-map a datum varies by $|v|\, \sigma_x$ more. Regions then are as wide as they should be; the
-map stays flattened by $f'' \sigma_x^2 / 2$, which only `latent_inputs` mends."""
+r"""Inputs known within errors, by their effect on the outputs: along the velocity v of
+the map a datum varies by $|v|\, \sigma_x$ more. Regions then are as wide as they should
+be; the map stays flattened by $f'' \sigma_x^2 / 2$, which only `latent_inputs` mends."""
 
 import dataclasses
 import warnings
@@ -44,7 +44,8 @@ def with_effective_variance(
     given = first.noise
     if given is None:
         tau, scatter = float(np.sqrt(at_minimum(model).spread.variance)), "additive"
-        given = Noise(np.full(len(first.y), (EXACT * tau) ** -2.0), None)
+        exact = np.full(len(first.y), (EXACT * tau) ** -2.0)
+        given = Noise(jax.device_put(exact), None)
     before = None
     for _ in range(ROUNDS):
         noise = _widened(first, given, model, errors)

@@ -61,6 +61,7 @@ def with_latent_inputs(
     known = problem.noise is not None
     variance, lam, w = deviation**2, float(model.lam), model.coefficients
     fitted = before = None
+    moved = np.inf
     with Progress(STEPS, "steps", progress) as bar:
         for _ in range(STEPS):
             squares, values = _at_nodes(argument(problem), model.lam, w)
@@ -89,8 +90,8 @@ def with_latent_inputs(
                 break
         else:
             warnings.warn(
-                f"fit: latent inputs have not settled in {STEPS} steps: the map still moves "
-                f"by {moved / np.sqrt(variance):.2g} standard deviations of the noise.",
+                f"fit: latent inputs have not settled in {STEPS} steps: the map still "
+                f"moves by {moved / np.sqrt(variance):.2g} standard deviations of noise.",
                 stacklevel=3,
             )
     assert fitted is not None
@@ -103,8 +104,9 @@ def _nodes(
     """Places, owners and prior shares: so close that the map moves less than the noise
     from one to the next. Inputs outside of the source cannot be."""
     x = np.asarray(problem.x)[:, 0]
-    lower, upper = x - REACH * errors.deviation, x + REACH * errors.deviation
-    if errors.lower is not None:
+    if errors.lower is None or errors.upper is None:
+        lower, upper = x - REACH * errors.deviation, x + REACH * errors.deviation
+    else:
         lower, upper = errors.lower, errors.upper
     low, high = (float(v[0]) for v in problem.source.bounds)  # type: ignore[attr-defined]
     lower, upper = np.maximum(lower, low), np.minimum(upper, high)

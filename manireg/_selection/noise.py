@@ -8,7 +8,7 @@ from typing import Literal
 
 import equinox as eqx
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 from scipy.stats import chi2
 
 from .._input.precision import as_scalar
@@ -48,8 +48,8 @@ def with_estimated_noise(
     r"""`model`, fitted to a `blunted` problem, fitted `again` with its noise renewed until
     that stays to 1 %:
 
-    - `scatter` $\tau$ in $\sigma_i^2 + \tau^2$ from the slope of the restricted likelihood,
-      $\sum_i |r_i|^2 / v_i^2 = \sum_i \mathrm{tr}(I - h_{ii}) / v_i$,
+    - `scatter` $\tau$ in $\sigma_i^2 + \tau^2$ where the slope of the restricted
+      likelihood is zero, $\sum_i |r_i|^2 / v_i^2 = \sum_i \mathrm{tr}(I - h_{ii}) / v_i$,
       $v_i = \sigma_i^2 + \tau^2$, or 0 where data scatter less than they say;
     - the scale of a robust loss whose data came without standard deviations: the median
       of $|r_i|$ between fit and left-out fit (the mean of both logarithms), over that of
@@ -67,19 +67,13 @@ def with_estimated_noise(
         now = renewed(problem, found, scatter)
         if first is None and problem.precision.mean is not None:
             first = found
-        relative = problem.precision.relative, now.precision.relative
-        scales = float(problem.misfit.scale), float(now.misfit.scale)
-        same = problem.misfit.squared or abs(np.log(scales[1] / scales[0])) < SETTLED
-        # equal precisions are relatively 1, whatever scatter is added
-        same &= np.allclose(*map(_mean, (problem, now)), rtol=2 * SETTLED, atol=0)
-        if same and np.allclose(*relative, rtol=2 * SETTLED, atol=0):
+        if _change(problem, now) < SETTLED:
             break
         problem = now
         model = again(problem, model)
     else:
         warnings.warn(
-            f"fit: the noise has not settled in {ROUNDS} rounds (its scale went from "
-            f"{scales[0]:.3g} to {scales[1]:.3g} in the last one): there may be two "
+            f"fit: the noise has not settled in {ROUNDS} rounds: there may be two "
             "explanations of these data. Give `sigma`, or a `lam`.",
             stacklevel=4,
         )
@@ -101,9 +95,17 @@ def renewed(problem: Problem, found: AtMinimum, scatter: Scatter) -> Problem:
     return eqx.tree_at(lambda p: (p.precision, p.misfit), problem, (new, misfit))
 
 
-def _mean(problem: Problem) -> float:
-    mean = problem.precision.mean
-    return 1.0 if mean is None else float(mean)
+def _change(before: Problem, now: Problem) -> float:
+    """Of standard deviations, relatively: of data, and of the loss."""
+
+    def deviations(problem: Problem):
+        level, mean = np.asarray(problem.precision.level), problem.precision.mean
+        scale = 1.0 if problem.misfit.squared else float(problem.misfit.scale)
+        return np.append(
+            (level * (1.0 if mean is None else float(mean))) ** -0.5, scale
+        )
+
+    return float(np.max(np.abs(np.log(deviations(now) / deviations(before)))))
 
 
 def _with_scale(problem: Problem, scale: float) -> Problem:
@@ -125,7 +127,7 @@ def _additive(problem: Problem, found: AtMinimum) -> float:
     assert noise is not None and problem.precision.mean is not None
     mean = float(problem.precision.mean)
     known = np.asarray(noise.precisions)[found.data]
-    relative = known / (1 + float(problem.precision.scatter) ** 2 * known) / mean
+    relative = known / (1 + problem.precision.scatter**2 * known) / mean
     if noise.axes is None:
         n = problem.target.dim
         squares, free = seen.squares / relative, n - seen.leverages.sum(1)
@@ -140,10 +142,10 @@ def _additive(problem: Problem, found: AtMinimum) -> float:
         precisions = known / (1 + variance * known)
         return np.sum(weights * (squares * precisions**2 - free * precisions))
 
-    most = np.max(squares) + 1 / np.max(known)
     if slope(0.0) <= 0:
         return 0.0
-    return float(np.sqrt(brentq(slope, 0.0, most, rtol=1e-6)))
+    most = float(np.max(squares) + 1 / np.max(known))
+    return float(root_scalar(slope, bracket=(0.0, most), rtol=1e-6).root) ** 0.5
 
 
 def _check_kept(problem: Problem, found: AtMinimum) -> None:

@@ -54,8 +54,8 @@ def problem_of(model: Any) -> Problem:
     """**Raises** ValueError for a map without its problem."""
     if model.problem is None:
         raise ValueError(
-            "This map has left its problem behind: it was fitted under `jit` or `vmap`, or "
-            "stored alone. Fit it outside of them, or give it back by "
+            "This map has left its problem behind: it was fitted under `jit` or `vmap`, "
+            "or stored alone. Fit it outside of them, or give it back by "
             "`dataclasses.replace(model, problem=problem)`."
         )
     return model.problem

@@ -1,4 +1,4 @@
-"""Random maps of the posterior: what moves if data and prior are disturbed as they vary."""
+"""Random maps of the posterior: what moves if data and prior are disturbed."""
 
 import functools
 

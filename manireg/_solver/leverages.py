@@ -19,8 +19,8 @@ from .linear import AbstractSolvers
 
 
 class Leverages(NamedTuple):
-    """Of each of n data, in units of the mean precision: r coordinates of a residual, those
-    of the ambient space or the principal axes of its precision."""
+    """Of each of n data, in units of the mean precision: r coordinates of a residual,
+    those of the ambient space or the principal axes of its precision."""
 
     residuals: Float[Array | np.ndarray, "n r"]
     left_out: Float[Array | np.ndarray, "n r"]

@@ -16,8 +16,8 @@ from .._sources.checks import check_points
 
 
 class Region(eqx.Module):
-    r"""At each of q points: $\{\exp_y(U z) : z^\top C^{-1} z \le r^2\}$, y the centre, U an
-    orthonormal frame of $T_yN$."""
+    r"""At each of q points: $\{\exp_y(U z) : z^\top C^{-1} z \le r^2\}$, y the centre, U
+    an orthonormal frame of $T_yN$."""
 
     target: Any
     centre: Float[Array, "q ..."]
@@ -73,8 +73,8 @@ class Region(eqx.Module):
         """Points along the rim, the first again last; of two-dimensional regions."""
         if self.frame.shape[2] != 2:
             raise ValueError(
-                f"outline: a region of dimension {self.frame.shape[2]} has no rim to draw; "
-                "use `semi_axes` and `directions`."
+                f"outline: a region of dimension {self.frame.shape[2]} has no rim to "
+                "draw; use `semi_axes` and `directions`."
             )
         angle = np.linspace(0, 2 * np.pi, m)
         circle = np.stack([np.cos(angle), np.sin(angle)])

@@ -14,6 +14,7 @@ from .._input.numbers import Numbers
 from .._input.precision import as_scalar, check_x64
 from .._objective.arguments import argument
 from .._objective.hessian import exact, gauss_newton
+from .._objective.noise import check_scale
 from .._objective.objective import objective
 from .._objective.problem import Problem
 from .._objective.resolution import warn_where_coarse
@@ -131,6 +132,7 @@ def _check_options(problem: Problem, method, starts, warm, max_steps: int):
             f"method: expected 'projected' or 'penalty', found {method!r}."
         )
     check_x64(problem)
+    check_scale(problem.misfit)
     if method == "penalty" and problem.energy.order != 2:
         raise ValueError(
             "method: 'penalty' is the paper's, for order 2; leave it out for order "
