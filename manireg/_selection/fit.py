@@ -71,7 +71,7 @@ def fit(
     - `loss`: a robust one whose data have no `sigma` is given its scale from them:
       squared first, then with the scale of the residuals (see
       `manireg._selection.noise`), each fit started from the one before, until that stays
-      to 1 %. `model.data_weights` are the weights it leaves.
+      to 0.3 %. `model.data_weights` are the weights it leaves.
     - `criterion`: what lambda (and the order) is chosen by: `"error"` of data left out
       (default), `"gcv"` or `"reml"`, as in `leave_one_out`.
     - `folds`: choose lambda by `cross_validate` with so many folds; default by

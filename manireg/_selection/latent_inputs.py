@@ -34,6 +34,9 @@ REACH = 3.0  # standard deviations of a normal prior that nodes cover
 FINE = 0.5  # distance of the map between nodes, in standard deviations of the noise
 FEWEST, MOST = 9, 81  # nodes of a datum
 STEEPER = 2.0  # the true map than the first fit, which errors have flattened
+# times the lambda of the first fit: from below, since under a large one what errors have
+# flattened is taken for noise, and stays flat
+ROUGHER = 0.03
 STEPS = 300
 SETTLED = 2e-3  # largest move of a fitted value, in standard deviations of the noise
 STRIDE = 3.0  # largest factor of lambda at a step
@@ -60,6 +63,7 @@ def with_latent_inputs(
     problem = with_nodes(problem, x, owner, weights * prior)
     known = problem.noise is not None
     variance, lam, w = deviation**2, float(model.lam), model.coefficients
+    lam *= ROUGHER if choose else 1.0
     fitted = before = None
     moved = np.inf
     with Progress(STEPS, "steps", progress) as bar:

@@ -20,7 +20,7 @@ from .._sources.checks import least_inputs
 
 Scatter = Literal["additive", "factor", "none"]
 ROUNDS = 12
-SETTLED = 0.01  # relative change of a standard deviation that is not worth another fit
+SETTLED = 3e-3  # relative change of a standard deviation that is not worth another fit
 BLUNT = 1e4  # scale of a robust loss, in root mean squares of the data, that is squared
 KEPT = 0.1  # of its weight, by a datum that is not rejected
 
@@ -46,7 +46,7 @@ def with_estimated_noise(
     scatter: Scatter,
 ) -> RegressionMap:
     r"""`model`, fitted to a `blunted` problem, fitted `again` with its noise renewed until
-    that stays to 1 %:
+    that stays to 0.3 %:
 
     - `scatter` $\tau$ in $\sigma_i^2 + \tau^2$ where the slope of the restricted
       likelihood is zero, $\sum_i |r_i|^2 / v_i^2 = \sum_i \mathrm{tr}(I - h_{ii}) / v_i$,
