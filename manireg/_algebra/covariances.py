@@ -14,9 +14,6 @@ from .chunks import map_chunks
 CHUNK_BYTES = 32_000_000  # of blocks or right-hand sides at a time
 
 
-ALONE, JOINT = "par,pbr->pab", "par,qbr->paqb"  # of the points of an element
-
-
 class Elements(NamedTuple):
     """Points, p in each element, that share its L centres."""
 
@@ -36,21 +33,31 @@ def from_windows(
 ) -> Float[Array, "..."]:
     """By the factors of `window_factors` for the centres from the first of an element
     on."""
-    f, size = elements.values.shape[3], factors.shape[1]
+    p, _, f = elements.values.shape[1:]
+    size = factors.shape[1]
+
+    def halves(values: Float[Array, "p L f"], centres: Int[Array, " L"]):
+        """L^{-1} a in the window that begins at the first centre that counts."""
+        counts = (centres >= 0) & jnp.any(values != 0, axis=(0, 2))
+        first = jnp.min(jnp.where(counts, centres, len(factors) - 1))
+        place = jnp.where(counts, centres - first, band)
+        window = jnp.zeros((len(values), band, f)).at[:, place].add(values, mode="drop")
+        factor = factors[first].reshape(size, band, f, -1)
+        return jnp.einsum("rcfa,pcf->par", factor, window)
 
     def of_element(element):
         values, columns = element
         centres = columns[::f] // f  # -1 // f is -1
-        first = jnp.min(jnp.where(centres < 0, len(factors), centres))
-        place = jnp.where(centres < 0, band, centres - first)
-        window = jnp.zeros((len(values), band, f)).at[:, place].add(values, mode="drop")
-        factor = factors[first].reshape(size, band, f, -1)
-        whole = jnp.einsum("rcfa,pcf->par", factor, window)
-        return jnp.einsum(JOINT if joint else ALONE, whole, whole)
+        if joint:  # at one place: all have the same centres
+            whole = halves(values, centres)
+            return jnp.einsum("par,qbr->paqb", whole, whole)
+        # those of a whole element may lie farther apart than centres that meet
+        whole = jax.vmap(halves, (0, None))(values[:, None], centres)[:, 0]
+        return jnp.einsum("par,pbr->pab", whole, whole)
 
     every = jax.vmap(of_element)
     return map_chunks(
-        every, elements[:2], CHUNK_BYTES / (8 * size**2), elements.present
+        every, elements[:2], CHUNK_BYTES / (8 * p * size**2), elements.present
     )
 
 
