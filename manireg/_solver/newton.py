@@ -227,7 +227,7 @@ class Newton(optx.AbstractMinimiser):
 
         def unfinished(carry):
             kinds, _, decrease, _ = carry
-            return (kinds > 0) & ~(jnp.isfinite(decrease) & (decrease > 0))
+            return (kinds > 0) & ~(jnp.isfinite(decrease) & (decrease >= 0))
 
         no = jnp.array(False)
         start = (

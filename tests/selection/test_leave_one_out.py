@@ -8,6 +8,7 @@ from curves import INTERVAL, X, curve_problem, sphere_data
 
 import manireg as mr
 from manireg._solver import fitted
+from manireg._solver.at_minimum import at_minimum
 
 K = len(X)
 Y = np.stack([np.sin(3 * X), np.cos(2 * X) + X], axis=1)
@@ -110,3 +111,22 @@ def test_on_surfaces_some_data_stand_for_many(monkeypatch):
     where = np.argmin(abs(some[:, :1] - every[:, 0]), axis=1)
     assert len(np.unique(where)) == 30
     np.testing.assert_allclose(some, every[where], rtol=1e-9)
+
+
+def test_leverages_beside_a_gap():
+    """Many data in two clusters: those that are treated together then lie on both sides of
+    the gap. On a line h_ii is the value at x_i of the fit to the i-th unit vector."""
+    rng = np.random.default_rng(0)
+    left, right = rng.uniform(0, 0.15, 405), rng.uniform(0.8, 1, 400)
+    x = np.sort(np.concatenate([left, right]))
+    lam, problem = (
+        1e-4,
+        mr.make_problem(INTERVAL, mr.Euclidean(1), x, 0 * x[:, None], centres=40),
+    )
+    found = at_minimum(mr.solve(problem, lam)).leverages.leverages[:, 0]
+    assert np.sum(found) > 3
+    gap = int(np.argmax(np.diff(x)))
+    for i in (gap - 1, gap, gap + 1, gap + 2):
+        unit = jnp.zeros((len(x), 1)).at[i].set(1.0)
+        model = mr.solve(eqx.tree_at(lambda p: p.y, problem, unit), lam)
+        assert found[i] == pytest.approx(float(model(x[i])[0]), rel=1e-6)

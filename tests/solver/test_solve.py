@@ -265,3 +265,11 @@ def test_new_data_use_the_compiled_program():
     jax.monitoring.register_event_duration_secs_listener(listen)
     regression(1)
     assert not compiled
+
+
+def test_data_that_are_all_alike(problem):
+    """The gradient is zero at the start: that is the minimum."""
+    same = jnp.broadcast_to(jnp.array([0.0, 0.6, 0.8]), problem.y.shape)
+    both = lambda p: (p.y, p.origin)
+    alike = eqx.tree_at(both, problem, (same, same[0]))
+    np.testing.assert_allclose(mr.solve(alike, LAM)(GRID)[0], same[0], atol=1e-12)
