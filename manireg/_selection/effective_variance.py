@@ -44,7 +44,8 @@ def with_effective_variance(
     given = first.noise
     if given is None:
         tau, scatter = float(np.sqrt(at_minimum(model).spread.variance)), "additive"
-        given = Noise(np.full(len(first.y), (EXACT * tau) ** -2.0), None)
+        exact = np.full(len(first.y), (EXACT * tau) ** -2.0)
+        given = Noise(jax.device_put(exact), None)
     before = None
     for _ in range(ROUNDS):
         noise = _widened(first, given, model, errors)
