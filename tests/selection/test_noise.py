@@ -109,6 +109,7 @@ def test_huber_of_a_line():
     np.testing.assert_allclose(model.data_weights, np.minimum(1, c / r), atol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", [mr.Huber(), mr.Tukey()], ids=["Huber", "Tukey"])
 def test_scale_of_contaminated_data(loss):
     x = np.linspace(X[0], X[-1], 200)
@@ -148,7 +149,9 @@ def on_sphere(x, y, lam=1e-4, **options):
     return mr.fit(INTERVAL, SPHERE, x, y, lam, centres=80, **options)
 
 
-@pytest.mark.parametrize("loss", [mr.Tukey(), mr.StudentT()], ids=["Tukey", "t"])
+@pytest.mark.parametrize(
+    "loss", [mr.Tukey(), pytest.param(mr.StudentT(), marks=pytest.mark.slow)]
+)
 def test_outliers_on_the_sphere(loss):
     x, y, wild, truth = poles()
 

@@ -11,6 +11,7 @@ import pytest
 from curves import TIMES, curve_problem, sphere_data
 from dense_splines import CENTRES, Spline, noisy_wave
 from scipy import stats
+from scipy.linalg import expm
 
 import manireg as mr
 from manireg._solver.at_minimum import at_minimum
@@ -314,14 +315,12 @@ def test_sphere_motion(curve):
         post.angular_velocity(at)
 
 
+@pytest.mark.slow
 def test_angular_velocity():
     """About axes of the body: those of the space, turned back with the map."""
-    turn = sphere_data()
-    angle = np.linalg.norm(turn, axis=1)[:, None, None]
-    axis = np.cross(turn, [0, 0, 1.0])
-    cross = np.cross(np.eye(3), axis[:, None])
-    generator = np.swapaxes(cross, 1, 2)
-    y = np.stack([jax.scipy.linalg.expm(jnp.asarray(g)) for g in generator / angle])
+    turn = np.cross(sphere_data(), [0, 0, 1.0])
+    generators = np.swapaxes(np.cross(np.eye(3), turn[:, None]), 1, 2)
+    y = np.stack([expm(g) for g in generators])
     model = mr.solve(curve_problem(mr.SpecialOrthogonal(3), y), 1e-3)
     at = TIMES[5::20]
     post = model.posterior(smoothing_known=True)
@@ -331,7 +330,7 @@ def test_angular_velocity():
     np.testing.assert_allclose(body.value, np.einsum("qab,qb->qa", back, space.value))
     expected = mr.angular_velocity(R, model.velocity(at))
     np.testing.assert_allclose(space.value, expected, atol=1e-10)
-    # R^T omega moves with R, too: by omega x the turn of R; compare what is left
+    # R^T omega moves with R, too
     maps = post.sample(jax.random.key(1), 200)
     for axes, estimate in (("space", space), ("body", body)):
         drawn = [
@@ -347,6 +346,7 @@ def test_angular_velocity():
 # Surfaces
 
 
+@pytest.mark.slow
 def test_surface():
     """Sparse covariances against the inverse of the whole Hessian."""
     x = SPHERE.random_points(jax.random.key(0), 60)
@@ -371,6 +371,20 @@ def test_surface():
         np.testing.assert_allclose(covariance[i], expected, rtol=1e-5, atol=1e-12)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["line", "curve"])
+def test_bootstrap(name, request):
+    model = request.getfixturevalue(name)
+    at = NEW if name == "line" else TIMES[3:-3:6]
+    maps = mr.bootstrap(model, jax.random.key(0), 200)
+    covariance, U = model.posterior().sampling_covariance(at)
+    values = np.stack([np.asarray(m(at)) for m in maps])
+    z = np.einsum("qtn,mqt->qmn", U, values - values.mean(axis=0))
+    empirical = np.swapaxes(z, 1, 2) @ z / (len(maps) - 1)
+    axes = [np.sqrt(np.linalg.eigvalsh(c)) for c in (empirical, covariance)]
+    assert np.median(axes[0] / axes[1]) == pytest.approx(1, abs=0.1)
+
+
 # What is refused
 
 
@@ -380,3 +394,16 @@ def test_map_without_its_problem(line):
         with pytest.raises(ValueError, match="This map has left its problem behind"):
             ask()
     assert dataclasses.replace(alone, problem=line.problem).posterior() is not None
+
+
+@pytest.mark.slow
+def test_fits_under_jit_have_no_problem(line):
+    problem = line.problem
+    fit = eqx.filter_jit(
+        lambda y: mr.solve(eqx.tree_at(lambda p: p.y, problem, y), LAM)
+    )
+    model = fit(problem.y)
+    assert model.problem is None
+    np.testing.assert_allclose(model(NEW), line(NEW), atol=1e-10)
+    with pytest.raises(ValueError, match="fitted under `jit`"):
+        model.posterior()
