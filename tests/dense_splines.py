@@ -37,7 +37,7 @@ class Spline:
     def __init__(self, x, q, strength):
         q = np.asarray(q)
         n = 1 if q.ndim == 1 else q.shape[1]
-        self.W = np.diag(q) if q.ndim == 1 else block_diag(*q)
+        self.W = np.diag(q) if q.ndim == 1 else np.asarray(block_diag(*q))
         self.null = 2 * n
         self.penalty = strength * np.kron(bending(x), np.eye(n))
         self.H = self.W + self.penalty

@@ -1,5 +1,10 @@
 """Criteria of lambda against dense smoothing splines."""
 
+# what is None elsewhere is known here
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportOptionalOperand=false, reportCallIssue=false
+# pyright: reportAttributeAccessIssue=false
+
 import numpy as np
 import pytest
 from dense_splines import CENTRES, Spline, bending, noisy_wave

@@ -1,6 +1,11 @@
 """Inputs known within errors: known results for straight lines, finite differences of the
 marginal likelihood, simulations."""
 
+# what is None elsewhere is known here
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportOptionalOperand=false, reportCallIssue=false
+# pyright: reportAttributeAccessIssue=false
+
 import jax
 import numpy as np
 import pytest

@@ -1,6 +1,11 @@
 """Noise found with the map: against dense linear mixed models, scipy's robust fits, and
 fits that know which data are outliers."""
 
+# what is None elsewhere is known here
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportOptionalOperand=false, reportCallIssue=false
+# pyright: reportAttributeAccessIssue=false
+
 import jax.numpy as jnp
 import numpy as np
 import pytest

@@ -1,6 +1,11 @@
 """Posteriors of maps into R^1 and R^2 against dense smoothing splines, on spheres against
 what they say of each other."""
 
+# what is None elsewhere is known here
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportOptionalOperand=false, reportCallIssue=false
+# pyright: reportAttributeAccessIssue=false
+
 import dataclasses
 
 import equinox as eqx
