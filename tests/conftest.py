@@ -2,6 +2,7 @@ import gc
 import os
 
 import jax
+import jaxtyping
 import matplotlib
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
@@ -46,6 +47,14 @@ def jax_cache():
     for name, value in before.items():
         jax.config.update(name, value)
     compilation_cache.reset_cache()
+
+
+@pytest.fixture
+def unchecked():
+    """Types are not checked in this test: wrong names reach the library, as users' do."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture

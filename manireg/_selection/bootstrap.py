@@ -4,7 +4,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -49,7 +48,7 @@ def bootstrap(model: RegressionMap, key: PRNGKeyArray, m: int) -> list[Regressio
     steps = np.einsum("ktn,mkn->mkt", frames, _coloured(problem, frames, normal))
     steps *= np.sqrt(found.spread.variance)
     shape = (m, len(flat), *target.point_shape)
-    y = target.project(target.exp(fitted[None], jnp.reshape(steps, shape)))
+    y = target.project(target.exp(fitted[None], jax.device_put(steps.reshape(shape))))
     y = np.asarray(y).reshape(m, len(flat), -1)
     size = len(found.given.y)
     lanes = np.concatenate([y, np.repeat(y[:, :1], size - len(flat), axis=1)], axis=1)

@@ -55,7 +55,10 @@ def chosen_fit(
     check_scatter(scatter)
     inexact = _input_errors(source, x, x_sigma, x_min, x_max, x_error)
     problem, choices = (source, target, x, y), []
+    progress = options.get("progress", True)
     if lam is not None:
+        if inexact is not None:  # one fit has none to show, those of latent inputs have
+            options.pop("progress", None)
         model, again = _given(*problem, lam, distance, data, options)
     elif folds is not None:
         model, again = _by_folds(*problem, folds, data, options, choices)
@@ -65,7 +68,6 @@ def chosen_fit(
     if inexact is not None and x_error == "effective":
         model = with_effective_variance(model, inexact, again, scatter)
     elif inexact is not None:
-        progress = options.get("progress", True)
         model = with_latent_inputs(model, inexact, lam is None, scatter, progress)
     if not choices:
         return model, None

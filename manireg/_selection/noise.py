@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Literal
 
 import equinox as eqx
+import jax
 import numpy as np
 from scipy.optimize import root_scalar
 from scipy.stats import chi2
@@ -14,6 +15,7 @@ from scipy.stats import chi2
 from .._input.precision import as_scalar
 from .._objective.noise import Precision, misfit_of, precision_of
 from .._objective.problem import Problem
+from .._programs.sizes import at_each
 from .._solver.at_minimum import AtMinimum, at_minimum
 from .._solver.model import RegressionMap
 from .._sources.checks import least_inputs
@@ -63,8 +65,8 @@ def with_estimated_noise(
         return model
     for _ in range(ROUNDS):
         found = at_minimum(model)
-        _check_kept(problem, found)
         now = renewed(problem, found, scatter)
+        _check_kept(now, found)
         if first is None and problem.precision.mean is not None:
             first = found
         if _change(problem, now) < SETTLED:
@@ -149,7 +151,12 @@ def _additive(problem: Problem, found: AtMinimum) -> float:
 
 
 def _check_kept(problem: Problem, found: AtMinimum) -> None:
-    kept = int(np.sum(found.leverages.rho[:, 1] > KEPT))
+    """By the noise that the next fit will have: from a map that all data are too far from,
+    none is found."""
+    if problem.misfit.squared:
+        return
+    left = at_each(_weight, problem.misfit, found.leverages.squares)
+    kept = int(np.sum(left > KEPT))
     least = least_inputs(problem.source, problem.energy.order) + 1
     if kept < least:
         name = type(problem.misfit.loss).__name__
@@ -157,6 +164,10 @@ def _check_kept(problem: Problem, found: AtMinimum) -> None:
             f"loss: {name} rejects all but {kept} of {len(found.data)} data; {least} are "
             "needed. `sigma` may be too small; else take a larger constant, or Huber."
         )
+
+
+def _weight(misfit, square):
+    return jax.grad(misfit.rho)(square)
 
 
 def _told(

@@ -15,8 +15,9 @@ from .._programs.program import program
 from .linear import AbstractSolvers
 
 AT_A_TIME = 64  # draws
-# times the gauge: so stiff that what is normal to N, which nothing else holds and which
-# costs nothing, stays below a hundredth of the reach, where projection is linear
+# times the gauge, which is not disturbed: what is normal to N, which nothing else holds,
+# stays zero, as far as the basis can follow. Rough as it would be, its derivatives would
+# else turn up in velocities
 STIFF = 1e4
 
 
@@ -44,9 +45,10 @@ _model = program(most=4)(gauss_newton)
 @program(most=4)
 def _draws(stage, w, hessian, solvers, key):
     problem: Problem = stage.problem
+    stage = eqx.tree_at(lambda s: s.gamma, stage, jnp.zeros_like(stage.gamma))
 
     def residuals(w):
-        """Square roots of all that the objective sums up."""
+        """Square roots of all that the objective sums up, but for the gauge."""
         both = []
         for site in sites(stage):
             of_point = weighted_residuals(site, stage)

@@ -135,7 +135,7 @@ def _symmetric(matrices: Float[np.ndarray, "k a a"]) -> Float[np.ndarray, "k a a
 def _semidefinite(
     values: Float[np.ndarray, "k n"], largest: Float[np.ndarray, " k"]
 ) -> Float[np.ndarray, "k n"]:
-    """Those below zero by rounding are zero; of each something is left."""
+    """Those that are rounding are zero; of each something is left."""
     bad = np.any(values < -NEGATIVE * largest[:, None], axis=1)
     least = f", least {values[bad].min():.3g}" if bad.any() else ""
     _refuse(
@@ -148,7 +148,7 @@ def _semidefinite(
         "are zero along the tangent space",
         NO_NOISE,
     )
-    return np.maximum(values, 0.0)
+    return np.where(values > NOTHING * largest[:, None], values, 0.0)
 
 
 def _frames(

@@ -226,14 +226,14 @@ def test_geodesic_loss_of_a_circle_is_that_of_its_points():
     slope = np.polynomial.Polynomial.fit(x, turn, 1)(x)  # lambda so large: a geodesic
     exact = np.stack([np.cos(slope), np.sin(slope)], axis=1)
     fits = {
-        loss: mr.fit(interval, cloud, x, y, 100.0, centres=8, loss=loss)(x)
-        for loss in ("chord", "geodesic")
+        distance: mr.fit(interval, cloud, x, y, 100.0, centres=8, distance=distance)(x)
+        for distance in ("chord", "geodesic")
     }
     assert np.abs(fits["chord"] - exact).max() > 1e-2
     assert np.abs(fits["geodesic"] - exact).max() < 1e-3
 
 
-def test_geodesic_loss_needs_lambda():
+def test_geodesic_distance_needs_lambda():
     x, y = np.zeros(1), np.array([[0.0, 0, 1]])
-    with pytest.raises(ValueError, match="loss"):
-        mr.fit(mr.Interval(0.0, 1.0), mr.Sphere(2), x, y, loss="geodesic")
+    with pytest.raises(ValueError, match="distance: expected"):
+        mr.fit(mr.Interval(0.0, 1.0), mr.Sphere(2), x, y, distance="geodesic")

@@ -6,6 +6,7 @@ from curves import curve_problem, sphere_data
 
 import manireg as mr
 from manireg._selection.choice import choose
+from manireg._selection.criteria import vertex
 from manireg._selection.path import Leg, downwards, follow, up_and_down
 from manireg._selection.scores import AbstractScore, Fit
 
@@ -30,8 +31,15 @@ class Distance(AbstractScore):
         scores, objective = off + np.array([0.0, 2.2]), 0.5 if below else 1.0
         return Fit(float(lam), scores, np.ones(2, bool), objective, below)
 
-    def trimmed(self, scores):
-        return scores
+    def judged(self, lams, fits):
+        return np.stack([fit.scores for fit in fits], axis=1)
+
+    @property
+    def refinements(self):
+        return 1
+
+    def better(self, lams, fits):
+        return vertex(lams, self.judged(lams, fits).mean(axis=0))
 
     def model(self, lam, fits):
         raise NotImplementedError
