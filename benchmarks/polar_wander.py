@@ -256,16 +256,16 @@ def _running_means(t: dict[str, np.ndarray]) -> str:
 Why they differ: the published path is a mean of single sites (its N), in which a study of
 500 weighs as much as fifty of ten. Here poles scatter by tau, whatever their N, and count
 about alike. And 306 poles of the table have no K, so that no sites can be drawn for them.
-Running means over 20 Myr of these poles, weighed in three ways, lie from the published path
-(root mean square over windows, degrees):
+Running means over 20 Myr of these poles, weighed in three ways, lie from the published
+path (root mean square over windows, degrees):
 
 | poles weighed | {heads} |
 |---|{"---|" * len(WINDOWS)}
 {rows}
 
 Both together explain nearly all of the gap at 100 and 200 to 230 Ma, more than half of it
-at 240 and 250 Ma, and about half at 150 and 160 Ma and at the end of the table, from 300 Ma
-on, where poles are few."""
+at 240 and 250 Ma, and about half at 150 and 160 Ma and at the end of the table, from 300
+Ma on, where poles are few."""
 
 
 def main() -> None:
