@@ -76,7 +76,7 @@ def unresolved(problem: Problem, lam: ScalarLike) -> int:
     """How many distinct inputs lie closer than centres and lambda resolve, as above;
     whether what is missed there is noise is not asked."""
     heavy = np.asarray(problem.weights) > 0
-    x = np.unique(np.asarray(problem.x)[heavy], axis=0)
+    x = np.unique(_inputs(problem)[heavy], axis=0)
     return int(np.sum(_coarse(problem, x, lam)[0])) if len(x) > 1 else 0
 
 
@@ -95,7 +95,7 @@ def _distinct(problem: Problem, w):
     weighted means of repeated ones, as a pair given twice is no detail."""
     weights = np.asarray(problem.weights)
     heavy = weights > 0
-    x, own = np.unique(np.asarray(problem.x)[heavy], axis=0, return_inverse=True)
+    x, own = np.unique(_inputs(problem)[heavy], axis=0, return_inverse=True)
     total = np.bincount(own.ravel(), weights[heavy])
 
     def mean(values):
@@ -109,6 +109,18 @@ def _distinct(problem: Problem, w):
         return mean(np.asarray(jnp.reshape(landed, psi.shape) - problem.y))
 
     return x, mean(np.asarray(problem.y)), residuals
+
+
+def _inputs(problem: Problem) -> Float[np.ndarray, "k s"]:
+    """Of each row; the nodes of a latent input are no data of their own, and stand at
+    their mean."""
+    x = np.asarray(problem.x)
+    if problem.owner is None:
+        return x
+    owner, weights = np.asarray(problem.owner), np.asarray(problem.weights)
+    total = np.bincount(owner, weights)
+    sums = [np.bincount(owner, weights * column) for column in x.T]
+    return (np.stack(sums, axis=1) / np.where(total > 0, total, 1.0)[:, None])[owner]
 
 
 def _spacings_of_centres(problem: Problem, x) -> Float[np.ndarray, " k"]:

@@ -17,7 +17,7 @@ from .._solver.model import RegressionMap
 from .._sources.input_errors import InputErrors
 from .._sources.noise import Noise
 from ..manifolds._defaults.frames import tangent_frames
-from .noise import Scatter, renewed
+from .noise import Scatter, renewed, scaled
 
 ROUNDS = 10
 SETTLED = 0.02  # relative change of a precision that is not worth another fit
@@ -58,14 +58,21 @@ def with_effective_variance(
         tau = float(found.scatter)
         level = np.asarray(found.level) * np.asarray(found.mean)
         if before is not None and np.allclose(level, before, rtol=SETTLED):
-            return model
+            return _by_factor(model) if scatter == "factor" else model
         before = level
     warnings.warn(
         f"fit: the effective variances have not settled in {ROUNDS} rounds; "
         '`x_error="latent"` may.',
         stacklevel=3,
     )
-    return model
+    return _by_factor(model) if scatter == "factor" else model
+
+
+def _by_factor(model: RegressionMap) -> RegressionMap:
+    """Of errors in y and in x alike."""
+    assert model.problem is not None
+    problem = scaled(model.problem, at_minimum(model))
+    return dataclasses.replace(model, problem=problem)
 
 
 def _widened(

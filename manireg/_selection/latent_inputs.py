@@ -27,7 +27,7 @@ from .._solver.minimise import gauge, stage_of
 from .._solver.model import RegressionMap
 from .._solver.solve import solve
 from .._sources.input_errors import InputErrors
-from .noise import Scatter, renewed
+from .noise import Scatter, renewed, scaled
 from .progress import Progress
 
 REACH = 3.0  # standard deviations of a normal prior that nodes cover
@@ -81,6 +81,8 @@ def with_latent_inputs(
             spread = found.spread
             if known:
                 problem = renewed(problem, found, scatter)
+                if scatter == "factor":
+                    problem = scaled(problem, found)
                 variance = 1 / float(problem.precision.mean)  # type: ignore[arg-type]
             else:
                 variance = spread.found

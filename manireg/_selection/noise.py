@@ -97,6 +97,17 @@ def renewed(problem: Problem, found: AtMinimum, scatter: Scatter) -> Problem:
     return eqx.tree_at(lambda p: (p.precision, p.misfit), problem, (new, misfit))
 
 
+def scaled(problem: Problem, found: AtMinimum) -> Problem:
+    r"""All variances times $\varphi$, the reduced $\chi^2$ of a fit to `problem`, whose
+    `sigma` is as given."""
+    precision = problem.precision
+    assert precision.mean is not None
+    phi = found.spread.found * float(precision.mean)
+    mean = as_scalar(float(precision.mean) / phi)
+    precision = dataclasses.replace(precision, mean=mean, phi=phi)
+    return eqx.tree_at(lambda p: p.precision, problem, precision)
+
+
 def _change(before: Problem, now: Problem) -> float:
     """Of standard deviations, relatively: of data, and of the loss."""
 

@@ -72,3 +72,21 @@ def test_gondwana(tmp_path, data_folder):
     ]
     means = {name.split(" (")[0]: float(mean) for name, mean, *_ in rows}
     assert means["manireg"] <= means["manireg, lambda 20 throughout"] + 0.15
+
+
+@pytest.mark.slow
+def test_polar_wander(tmp_path, data_folder):
+    """Australia's poles leave the paths of the sea floor, as they did; four regions hold
+    most of a simulated truth."""
+    command = [sys.executable, BENCHMARKS / "polar_wander.py", "--out", tmp_path]
+    parts = ["--parts", "simulation", "australia", "--repetitions", "4"]
+    subprocess.run([*command, *parts], check=True)
+    rows = [
+        line.strip("| ").split(" | ")
+        for line in (tmp_path / "polar_wander.md").read_text().splitlines()
+        if line.startswith("| ") and not line.startswith("| |")
+    ]
+    found = {row[0]: float(row[1]) for row in rows if "over x" in row[0]}
+    assert found["pointwise, mean over x"] > 0.6
+    mueller = [float(row[2]) for row in rows if row[1] == "Müller et al. 2016"]
+    assert len(mueller) == 2 and all(0.2 < inside < 0.6 for inside in mueller)
