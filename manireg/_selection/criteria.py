@@ -78,7 +78,7 @@ class RestrictedLikelihood(AbstractCriterion):
     gauge nor the ridge nor a rank in it. The slope of the whole is known, and lambda its
     zero, where $k \lambda S = \hat\sigma^2 (\mathrm{edf} - d_0)$."""
 
-    refinements = 8
+    refinements = 4
 
     def judged(self, lams, errors, spreads):
         known = [i for i, s in enumerate(spreads) if s is not None]
