@@ -68,7 +68,7 @@ CASES = [
 
 def inputs(case: Case, rng: np.random.Generator, k: int) -> np.ndarray:
     if isinstance(case.source, mr.Interval):
-        return np.sort(rng.uniform(*case.source.bounds, size=k))
+        return np.sort(rng.uniform(*(b[0] for b in case.source.bounds), size=k))
     return np.asarray(SPHERE.project(rng.normal(size=(k, 3))))
 
 
@@ -83,7 +83,7 @@ def covered(case: Case, k: int, kappa: float, repetitions: int) -> dict[str, flo
     curve = isinstance(case.source, mr.Interval)
     queries = inputs(case, np.random.default_rng(0), 100)
     if curve:
-        queries = np.linspace(*map(float, case.source.bounds), 101)
+        queries = np.linspace(*(float(b[0]) for b in case.source.bounds), 101)
     truth = case.truth(queries)
     regions, bands, speeds, errors = [], [], [], []
     for repetition in range(repetitions):
