@@ -22,8 +22,9 @@ from ._objective.energy_of_map import (
     energy as energy,
     thin_plate_energy as thin_plate_energy,
 )
+from ._objective.make_problem import make_problem as make_problem
 from ._objective.objective import Energies as Energies
-from ._objective.problem import Problem as Problem, make_problem as make_problem
+from ._objective.problem import Problem as Problem
 from ._objective.resolution import ResolutionWarning as ResolutionWarning
 from ._objective.robust import (
     AbstractLoss as AbstractLoss,

@@ -12,9 +12,9 @@ from _timing import first_and_best
 import manireg as mr
 from manireg._discretisation.domain import centres_of, discretise
 from manireg._discretisation.jets import jets_of
+from manireg._objective.assemble import pattern_of
 from manireg._objective.hessian import exact, gauss_newton
 from manireg._objective.objective import objective
-from manireg._objective.problem import pattern_of
 from manireg._solver.linear import direct_solvers
 from manireg._solver.minimise import gauge, stage_of
 from manireg._solver.starts import free_solution

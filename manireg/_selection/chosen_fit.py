@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 from .._input.numbers import Numbers
-from .._objective.problem import Problem, make_problem
+from .._objective.make_problem import make_problem
+from .._objective.problem import Problem
 from .._objective.robust import Squared, check_loss
 from .._solver.geodesic_loss import solve_geodesic
 from .._solver.model import RegressionMap

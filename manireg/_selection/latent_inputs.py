@@ -19,7 +19,8 @@ from jaxtyping import Float, Int
 
 from .._discretisation.jets import in_order
 from .._objective.arguments import argument
-from .._objective.problem import Problem, psi_jets, with_nodes
+from .._objective.assemble import with_nodes
+from .._objective.problem import Problem, psi_jets
 from .._objective.sites import at_site, sites
 from .._programs.program import program
 from .._solver.at_minimum import at_minimum

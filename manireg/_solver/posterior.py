@@ -5,19 +5,17 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._input.numbers import Numbers
 from .._objective.problem import number_of_data
-from .._objective.terms import project_flat
 from .._programs.sizes import at_each
 from .._sources.checks import check_inputs
 from ..manifolds import SpecialOrthogonal, Sphere
 from ..manifolds._defaults.frames import tangent_frames
 from .at_minimum import at_minimum, lambda_error
-from .derivatives import check_curve, tangent_of_curve
+from .derivatives import check_curve
 from .diagnostics import diagnostics
 from .information import (
     AbstractInformation,
@@ -26,7 +24,15 @@ from .information import (
 )
 from .jet_covariances import JetsAt, displaced, jets_at, pushed
 from .minimise import gauge, stage_of
-from .readings import angular_velocity, sphere_motion
+from .quantities import (
+    euler_pole,
+    in_frame,
+    slope,
+    speed_and_azimuth,
+    turn_in_body,
+    turn_in_space,
+)
+from .readings import angular_velocity
 from .regions import Region, conformal_radius, quantile_radius
 from .spread import Spread
 
@@ -90,7 +96,7 @@ class Posterior(eqx.Module):
 
         **Raises** ValueError as calling the map does."""
         _, jets, frames = self._values(x)
-        return self._pushed(_in_frame, jets, frames)[1], frames
+        return self._pushed(in_frame, jets, frames)[1], frames
 
     def sampling_covariance(
         self, x: Numbers
@@ -104,7 +110,7 @@ class Posterior(eqx.Module):
             raise ValueError("sampling_covariance: not of maps with latent inputs.")
         _, jets, frames = self._values(x)
         covariance = self.scale * self.information.sampling(jets.rows, jets.near)
-        return pushed(_in_frame, self.model.target, jets, covariance, frames)[1], frames
+        return pushed(in_frame, self.model.target, jets, covariance, frames)[1], frames
 
     def region(
         self,
@@ -133,7 +139,7 @@ class Posterior(eqx.Module):
                 "region: `new` data are regions one by one; leave out one."
             )
         centre, jets, frames = self._values(x)
-        covariance = self._pushed(_in_frame, jets, frames)[1]
+        covariance = self._pushed(in_frame, jets, frames)[1]
         n = covariance.shape[1]
         radius = quantile_radius(level, n)
         if simultaneous:
@@ -158,7 +164,7 @@ class Posterior(eqx.Module):
 
         **Raises** ValueError for sources of dimension 2 or more."""
         _, jets, frames = self._values(x, order=1)
-        coordinates, covariance = self._pushed(_velocity_in_frame, jets, frames)
+        coordinates, covariance = self._pushed(velocity_in_frame, jets, frames)
         shape = self.model.target.point_shape
         velocity = np.einsum("qtn,qn->qt", frames, coordinates)
         return Estimate(velocity.reshape(-1, *shape), covariance, frames)
@@ -175,7 +181,7 @@ class Posterior(eqx.Module):
             )
         angular_velocity(np.eye(3), np.eye(3), axes)  # raises for other names
         _, jets, _ = self._values(x, order=1)
-        read = _turn_in_space if axes == "space" else _turn_in_body
+        read = turn_in_space if axes == "space" else turn_in_body
         return Estimate(*self._pushed(read, jets))
 
     def sphere_motion(self, x: Numbers, level: float = 0.95) -> MotionEstimate:
@@ -187,14 +193,14 @@ class Posterior(eqx.Module):
         if not isinstance(target, Sphere) or target.dim != 2:
             raise ValueError("sphere_motion: only of maps into Sphere(2).")
         _, jets, _ = self._values(x, order=1)
-        both, covariance = self._pushed(_speed_and_azimuth, jets)
+        both, covariance = self._pushed(speed_and_azimuth, jets)
         deviation = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
-        poles, ambient = self._pushed(_euler_pole, jets)
+        poles, ambient = self._pushed(euler_pole, jets)
         globe = Sphere(2)
         frames = tangent_frames(globe, poles)
-        in_frame = np.swapaxes(frames, 1, 2) @ ambient @ frames
+        reduced = np.swapaxes(frames, 1, 2) @ ambient @ frames
         radius = quantile_radius(level, 2)
-        region = Region(globe, jax.device_put(poles), in_frame, frames, radius, level)
+        region = Region(globe, jax.device_put(poles), reduced, frames, radius, level)
         parts = both[:, 0], deviation[:, 0], both[:, 1], deviation[:, 1]
         return MotionEstimate(*parts, region)
 
@@ -230,7 +236,7 @@ class Posterior(eqx.Module):
         drawn = self._drawn(key, DRAWS)
         size, t = drawn.shape[1:]
         moved = jets.as_matrix(size) @ np.moveaxis(drawn, 0, 2).reshape(size, -1)
-        slopes = at_each(_slope, self.model.target, jets.psi[:, 0], frames)
+        slopes = at_each(slope, self.model.target, jets.psi[:, 0], frames)
         moved = slopes @ moved.reshape(len(frames), t, DRAWS)
         z = np.linalg.solve(np.linalg.cholesky(covariance), moved)
         largest = np.max(np.sum(z**2, axis=1), axis=0)
@@ -253,43 +259,3 @@ def posterior_of(model: Any, smoothing_known: bool) -> Posterior:
     each = diagnostics(problem, found, float(np.sqrt(variance)))
     parts = found.spread, scale, each.standardised, along
     return Posterior(model, information, *parts)
-
-
-def _slope(target, psi, frame):
-    """Of the projection, in the frame of the tangent space."""
-    return frame.T @ jax.jacfwd(lambda q: project_flat(target, q))(psi)
-
-
-def _in_frame(target, psi, frame):
-    return frame.T @ project_flat(target, psi[0])
-
-
-def _velocity(target, psi):
-    return tangent_of_curve(target, psi)
-
-
-def _velocity_in_frame(target, psi, frame):
-    return frame.T @ _velocity(target, psi).ravel()
-
-
-def _turn_in_space(target, psi):
-    point = target.project(psi[0].reshape(target.point_shape))
-    return angular_velocity(point, _velocity(target, psi), "space")
-
-
-def _turn_in_body(target, psi):
-    point = target.project(psi[0].reshape(target.point_shape))
-    return angular_velocity(point, _velocity(target, psi), "body")
-
-
-def _motion(target, psi):
-    return sphere_motion(target.project(psi[0]), _velocity(target, psi))
-
-
-def _speed_and_azimuth(target, psi):
-    motion = _motion(target, psi)
-    return jnp.stack([motion.speed, motion.azimuth])
-
-
-def _euler_pole(target, psi):
-    return _motion(target, psi).euler_pole

@@ -12,7 +12,7 @@ import trimesh
 from jaxtyping import ArrayLike, Float, Int, ScalarLike
 
 from .._input.precision import check_x64
-from .._objective.problem import make_problem, with_tension
+from .._objective.make_problem import make_problem, with_tension
 from .._programs.sizes import power_of_four
 from .._selection.choice import CrossValidation
 from .._selection.leave_one_out import leave_one_out

@@ -8,7 +8,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PRNGKeyArray
 from .._discretisation.local_polynomials import LocalPolynomials
 from .._input.numbers import Numbers
 from .._objective.arguments import argument, of_data
-from .._objective.problem import Problem, make_problem, psi_at_data
+from .._objective.make_problem import make_problem
+from .._objective.problem import Problem, psi_at_data
 from .._programs.program import program
 from .._selection.choice import evaluated
 from .._selection.folds import held_out_error, training_sets

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 import manireg as mr
 from manireg._discretisation.domain import discretise
+from manireg._objective.assemble import assemble_problem
 from manireg._objective.hessian import exact, gauss_newton
 from manireg._objective.objective import objective
-from manireg._objective.problem import assemble_problem
 from manireg._objective.sites import Stage
 from manireg._solver.linear import direct_solvers
 from manireg._solver.starts import free_solution

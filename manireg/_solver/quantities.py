@@ -1,0 +1,48 @@
+"""What is read off a jet of Psi: functions of one point, for `jet_covariances.pushed`."""
+
+import jax
+import jax.numpy as jnp
+
+from .._objective.terms import project_flat
+from .derivatives import tangent_of_curve
+from .readings import angular_velocity, sphere_motion
+
+
+def slope(target, psi, frame):
+    """Of the projection, in the frame of the tangent space."""
+    return frame.T @ jax.jacfwd(lambda q: project_flat(target, q))(psi)
+
+
+def in_frame(target, psi, frame):
+    return frame.T @ project_flat(target, psi[0])
+
+
+def _velocity(target, psi):
+    return tangent_of_curve(target, psi)
+
+
+def velocity_in_frame(target, psi, frame):
+    return frame.T @ _velocity(target, psi).ravel()
+
+
+def turn_in_space(target, psi):
+    point = target.project(psi[0].reshape(target.point_shape))
+    return angular_velocity(point, _velocity(target, psi), "space")
+
+
+def turn_in_body(target, psi):
+    point = target.project(psi[0].reshape(target.point_shape))
+    return angular_velocity(point, _velocity(target, psi), "body")
+
+
+def _motion(target, psi):
+    return sphere_motion(target.project(psi[0]), _velocity(target, psi))
+
+
+def speed_and_azimuth(target, psi):
+    motion = _motion(target, psi)
+    return jnp.stack([motion.speed, motion.azimuth])
+
+
+def euler_pole(target, psi):
+    return _motion(target, psi).euler_pole
