@@ -31,6 +31,7 @@ from .quantities import (
     speed_and_azimuth,
     turn_in_body,
     turn_in_space,
+    velocity_in_frame,
 )
 from .readings import angular_velocity
 from .regions import Region, conformal_radius, quantile_radius
