@@ -20,7 +20,8 @@ class Energies(eqx.Module):
     """The parts of the objective at a solution."""
 
     loss: Float[Array, ""]
-    """(Weighted) mean squared geodesic error on the data."""
+    """(Weighted) mean of the squared geodesic errors on the data, times their precision
+    over the mean one, under the loss."""
     energy: Float[Array, ""]
     """S, what lambda multiplies: the Eells energy, that of another order, or with the
     tension's."""

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import manireg as mr
 from manireg._cli.app import app
 from manireg.datasets import read_table
 
@@ -25,10 +24,10 @@ def reach(tmp_path, monkeypatch):
     """Runs `manireg fit` with latitude and longitude up to the fit: the result, whose
     exception is `Seen(source, target, x, y)` where the table was read."""
 
-    def fit(source, target, x, y, lam, weights=None, order=2):
-        raise Seen(source, target, x, y, weights)
+    def chosen_fit(source, target, x, y, lam, data, *_, **__):
+        raise Seen(source, target, x, y, data.get("weights"))
 
-    monkeypatch.setattr(mr, "fit", fit)
+    monkeypatch.setattr("manireg._cli.fit.chosen_fit", chosen_fit)
     monkeypatch.chdir(tmp_path)
 
     def reach(content, *more, name="data.csv"):

@@ -184,9 +184,9 @@ def test_lengths_are_in_the_unit_of_the_target(data, named):
 
 def test_map_without_its_problem(fitted):
     bare = dataclasses.replace(fitted, problem=None)
-    with pytest.raises(ValueError, match=r"^summary: .*left its problem behind"):
+    with pytest.raises(ValueError, match="left its problem behind"):
         bare.summary()
-    with pytest.raises(ValueError, match="^data_weights: .*replace"):
+    with pytest.raises(ValueError, match="replace"):
         _ = bare.data_weights
     traced = eqx.filter_jit(lambda p: mr.solve(p, LAM))(fitted.problem)
     assert traced.problem is None
