@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._solver.posterior import Estimate
 from .._solver.readings import angular_velocity
 from ..manifolds import Sphere
 from .tables import Target, TargetName
@@ -45,7 +44,9 @@ def uncertainty(
         minor, major = np.degrees(region.semi_axes).T
         columns = [major, minor, region.azimuth, region.theta95]
         if x.ndim == 1:
-            columns += _speed(posterior.velocity(x))
+            motion = posterior.sphere_motion(x)
+            speeds = motion.speed, motion.speed_deviation
+            columns += [np.degrees(speed) for speed in speeds]
         return names, np.stack(columns, axis=-1)
     covariance, frame = posterior.covariance(x)
     if target == TargetName.rotations:
@@ -78,17 +79,6 @@ def theta(level: float) -> str:
 
 def _is_globe(there: Target) -> bool:
     return isinstance(there.manifold, Sphere) and there.manifold.dim == 2
-
-
-def _speed(velocity: Estimate) -> list[np.ndarray]:
-    """Length and its standard error, in degrees per unit of the input."""
-    flat = velocity.value.reshape(len(velocity.value), -1)
-    length = np.linalg.norm(flat, axis=1)
-    assert velocity.frame is not None
-    along = np.einsum("qt,qtn->qn", flat, velocity.frame)
-    along /= np.where(length > 0, length, 1.0)[:, None]
-    square = np.einsum("qa,qab,qb->q", along, velocity.covariance, along)
-    return [np.degrees(length), np.degrees(np.sqrt(np.maximum(square, 0.0)))]
 
 
 def _axes(

@@ -80,7 +80,7 @@ def jets_of(
         some = slice(start, start + AT_A_TIME)
         parts.append(basis_series(basis, geodesics[index[some]], near[some], order))
     matrices = np.concatenate(parts)
-    arrays = matrices, _columns(basis, near), index, mask, np.array(len(near))
+    arrays = matrices, columns_of(near, basis.size), index, mask, np.array(len(near))
     arrays = jax.device_put(arrays)
     return Jets(*arrays, buckets=_buckets(near, basis))
 
@@ -100,7 +100,7 @@ def value_jets(
     overlap = energy_jets.columns.shape[1] // basis.size
     index, mask, near = _elements(basis, where, cells, overlap)
     matrices = at_each(_value_rows, basis, where[index], near, most=ELEMENTS)
-    columns = _columns(basis, near)
+    columns = columns_of(near, basis.size)
     e, U = max(len(cells), _cells(most, largest)), columns.shape[1]
     index, mask = _grown(index, 0, e, largest), _grown(mask, 0.0, e, largest)
     matrices = _grown(matrices, 0.0, e, largest)
@@ -137,8 +137,10 @@ def _buckets(near, basis: LocalPolynomials) -> tuple[tuple[int, int, int], ...]:
     )
 
 
-def _columns(basis: LocalPolynomials, near) -> Int[np.ndarray, "e U"]:
-    functions = near[:, :, None] * basis.size + np.arange(basis.size)
+def columns_of(near: Int[np.ndarray, "e L"], size: int) -> Int[np.ndarray, "e U"]:
+    """Which unknowns the functions of these centres are, `size` of each; negative for
+    padding. Host."""
+    functions = near[:, :, None] * size + np.arange(size)
     return functions.reshape(len(near), -1)
 
 

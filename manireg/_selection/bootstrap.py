@@ -1,5 +1,6 @@
 """Fits to data simulated from a fit: how far noise alone moves it."""
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -7,6 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from .._objective.arguments import of_data
 from .._objective.problem import Problem
 from .._solver.at_minimum import at_minimum
 from .._solver.minimise import minimise, newton_minimiser
@@ -50,12 +52,11 @@ def bootstrap(model: RegressionMap, key: PRNGKeyArray, m: int) -> list[Regressio
     shape = (m, len(flat), *target.point_shape)
     y = target.project(target.exp(fitted[None], jax.device_put(steps.reshape(shape))))
     y = np.asarray(y).reshape(m, len(flat), -1)
-    size = len(found.given.y)
-    lanes = np.concatenate([y, np.repeat(y[:, :1], size - len(flat), axis=1)], axis=1)
+    lanes = np.stack([of_data(each, len(flat)) for each in y])
     shared = found.given, model.lam, model.coefficients, found.solvers
     found = jax.device_put(np.asarray(sweep(_refitted, lanes, shared)))
-    alone = eqx.tree_at(lambda f: f.problem, model, None, is_leaf=lambda a: a is None)
-    return [eqx.tree_at(lambda f: f.coefficients, alone, w) for w in found]
+    alone = dataclasses.replace(model, problem=None)
+    return [dataclasses.replace(alone, coefficients=w) for w in found]
 
 
 def _coloured(problem: Problem, frames, normal) -> Float[np.ndarray, "m k n"]:

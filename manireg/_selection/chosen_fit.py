@@ -2,7 +2,6 @@
 started from the map before."""
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any, Literal
 
 from .._input.numbers import Numbers
@@ -22,11 +21,10 @@ from .cross_validate import cross_validate
 from .effective_variance import with_effective_variance
 from .latent_inputs import with_latent_inputs
 from .leave_one_out import along_path
-from .noise import Scatter, blunted, check_scatter, with_estimated_noise
+from .noise import Again, Scatter, blunted, check_scatter, with_estimated_noise
 from .one_fit import STEPS_TO_THE_END, OneFit
 from .orders import Order, over_orders
 
-Again = Callable[[Problem, RegressionMap], RegressionMap]
 CALLS = 7  # from a choice along the path to the user's line
 
 

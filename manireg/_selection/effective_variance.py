@@ -4,7 +4,6 @@ be; the map stays flattened by $f'' \sigma_x^2 / 2$, which only `latent_inputs` 
 
 import dataclasses
 import warnings
-from collections.abc import Callable
 
 import jax
 import numpy as np
@@ -17,19 +16,17 @@ from .._solver.model import RegressionMap
 from .._sources.input_errors import InputErrors
 from .._sources.noise import Noise
 from ..manifolds._defaults.frames import tangent_frames
-from .noise import Scatter, renewed, scaled
+from .noise import Again, Scatter, renewed, scaled
 
 ROUNDS = 10
 SETTLED = 0.02  # relative change of a precision that is not worth another fit
-EXACT = (
-    1e-2  # of the noise found: what outputs without `sigma` are taken to be exact to
-)
+EXACT = 1e-2  # of the noise found: to which outputs without `sigma` count as exact
 
 
 def with_effective_variance(
     model: RegressionMap,
     errors: InputErrors,
-    again: Callable[[Problem, RegressionMap], RegressionMap],
+    again: Again,
     scatter: Scatter,
 ) -> RegressionMap:
     r"""`model`, fitted as if inputs were exact, fitted anew with the covariances
@@ -58,19 +55,18 @@ def with_effective_variance(
         tau = float(found.scatter)
         level = np.asarray(found.level) * np.asarray(found.mean)
         if before is not None and np.allclose(level, before, rtol=SETTLED):
-            return _by_factor(model) if scatter == "factor" else model
+            break
         before = level
-    warnings.warn(
-        f"fit: the effective variances have not settled in {ROUNDS} rounds; "
-        '`x_error="latent"` may.',
-        stacklevel=3,
-    )
-    return _by_factor(model) if scatter == "factor" else model
-
-
-def _by_factor(model: RegressionMap) -> RegressionMap:
-    """Of errors in y and in x alike."""
+    else:
+        warnings.warn(
+            f"fit: the effective variances have not settled in {ROUNDS} rounds; "
+            '`x_error="latent"` may.',
+            stacklevel=3,
+        )
+    if scatter != "factor":
+        return model
     assert model.problem is not None
+    # of errors in y and in x alike
     problem = scaled(model.problem, at_minimum(model))
     return dataclasses.replace(model, problem=problem)
 

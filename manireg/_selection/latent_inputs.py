@@ -65,14 +65,12 @@ def with_latent_inputs(
     known = problem.noise is not None
     variance, lam, w = deviation**2, float(model.lam), model.coefficients
     lam *= ROUGHER if choose else 1.0
-    fitted = before = None
-    moved = np.inf
+    fitted, moved = None, np.inf
+    costs, values = _at_nodes(argument(problem), model.lam, w)
     with Progress(STEPS, "steps", progress) as bar:
         for _ in range(STEPS):
-            squares, values = _at_nodes(argument(problem), model.lam, w)
-            cost = relative * np.asarray(squares)[: len(x)] / (2 * variance)
-            likely = np.log(prior) - cost
-            shares = _normalised(likely, owner)
+            likely = relative * np.asarray(costs)[: len(x)] / (-2 * variance)
+            shares = _normalised(np.log(prior) + likely, owner)
             problem = eqx.tree_at(
                 lambda p: p.weights, problem, jax.device_put(weights * shares)
             )
@@ -90,7 +88,7 @@ def with_latent_inputs(
             if choose:
                 wanted = variance * (spread.edf - spread.null) / spread.penalty
                 lam *= float(np.clip(wanted, 1 / STRIDE, STRIDE))
-            _, values = _at_nodes(argument(problem), model.lam, w)
+            costs, values = _at_nodes(argument(problem), model.lam, w)
             moved = np.max(np.abs(np.asarray(values - before))[: len(x)])
             bar.step()
             if moved < SETTLED * np.sqrt(variance):

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Literal
 
 import equinox as eqx
-import jax
 import numpy as np
 from scipy.optimize import root_scalar
 from scipy.stats import chi2
@@ -15,12 +14,14 @@ from scipy.stats import chi2
 from .._input.precision import as_scalar
 from .._objective.noise import Precision, misfit_of, precision_of
 from .._objective.problem import Problem
+from .._objective.terms import weight_of
 from .._programs.sizes import at_each
 from .._solver.at_minimum import AtMinimum, at_minimum
 from .._solver.model import RegressionMap
 from .._sources.checks import least_inputs
 
 Scatter = Literal["additive", "factor", "none"]
+Again = Callable[[Problem, RegressionMap], RegressionMap]  # a fit near a map
 ROUNDS = 12
 SETTLED = 3e-3  # relative change of a standard deviation that is not worth another fit
 BLUNT = 1e4  # scale of a robust loss, in root mean squares of the data, that is squared
@@ -44,7 +45,7 @@ def blunted(problem: Problem) -> Problem:
 
 def with_estimated_noise(
     model: RegressionMap,
-    again: Callable[[Problem, RegressionMap], RegressionMap],
+    again: Again,
     scatter: Scatter,
 ) -> RegressionMap:
     r"""`model`, fitted to a `blunted` problem, fitted `again` with its noise renewed until
@@ -60,28 +61,27 @@ def with_estimated_noise(
     **Raises** RuntimeError where a loss rejects so many data that the map is not
     determined. **Warns** where the noise did not settle in 12 rounds.
     """
-    problem, first = model.problem, None
+    problem = model.problem
     if problem is None or (problem.noise is None and problem.misfit.squared):
         return model
+    first = found = at_minimum(model)
     for _ in range(ROUNDS):
-        found = at_minimum(model)
         now = renewed(problem, found, scatter)
         _check_kept(now, found)
-        if first is None and problem.precision.mean is not None:
-            first = found
         if _change(problem, now) < SETTLED:
             break
         problem = now
         model = again(problem, model)
+        found = at_minimum(model)
     else:
         warnings.warn(
             f"fit: the noise has not settled in {ROUNDS} rounds: there may be two "
             "explanations of these data. Give `sigma`, or a `lam`.",
             stacklevel=4,
         )
-    if first is None:
+    if problem.noise is None:
         return model
-    return _told(model, first, at_minimum(model), scatter)
+    return _told(model, first, found, scatter)
 
 
 def renewed(problem: Problem, found: AtMinimum, scatter: Scatter) -> Problem:
@@ -166,7 +166,7 @@ def _check_kept(problem: Problem, found: AtMinimum) -> None:
     none is found."""
     if problem.misfit.squared:
         return
-    left = at_each(_weight, problem.misfit, found.leverages.squares)
+    left = at_each(weight_of, problem.misfit, found.leverages.squares)
     kept = int(np.sum(left > KEPT))
     least = least_inputs(problem.source, problem.energy.order) + 1
     if kept < least:
@@ -175,10 +175,6 @@ def _check_kept(problem: Problem, found: AtMinimum) -> None:
             f"loss: {name} rejects all but {kept} of {len(found.data)} data; {least} are "
             "needed. `sigma` may be too small; else take a larger constant, or Huber."
         )
-
-
-def _weight(misfit, square):
-    return jax.grad(misfit.rho)(square)
 
 
 def _told(

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._algebra.sparse import SparseSymmetric
-from .._objective.arguments import argument, of_data
+from .._objective.arguments import argument
 from .._objective.hessian import gauss_newton
 from .._objective.objective import objective
 from .._objective.problem import Problem, number_of_data
 from .._programs.program import program
-from .fitted import scored_data
+from .fitted import asked, of_asked, scored_data
 from .leverages import Leverages, leverages
 from .linear import AbstractSolvers, direct_solvers
 from .minimise import gauge, stage_of
@@ -40,12 +40,11 @@ def at_minimum(model: Any) -> AtMinimum:
     """Of a `RegressionMap`. **Raises** ValueError for one without its problem."""
     problem = problem_of(model)
     given, solvers = argument(problem), direct_solvers(problem)
-    data, on_curve = scored_data(problem), problem.basis.dim == 1
+    data = scored_data(problem)
     hessian, seen = _seen(
-        given, model.lam, model.coefficients, _some(problem, data), solvers
+        given, model.lam, model.coefficients, asked(problem, data), solvers
     )
-    own = data if on_curve else slice(len(data))
-    seen = Leverages(*(np.asarray(a)[own] for a in seen))
+    seen = of_asked(problem, data, seen)
     spread = spread_of(problem, model, seen)
     return AtMinimum(given, solvers, hessian, data, seen, spread)
 
@@ -69,7 +68,7 @@ def lambda_error(model: Any, found: AtMinimum) -> Float[Array, "KC t"]:
     \lambda$."""
     given, lam, w = found.given, model.lam, model.coefficients
     moved, promised, edf = _along_lambda(
-        given, lam, w, _some(model.problem, found.data), found.solvers, found.hessian
+        given, lam, w, asked(model.problem, found.data), found.solvers, found.hessian
     )
     spread, k = found.spread, number_of_data(model.problem)
     lost = spread.edf * (1 - float(edf) / np.sum(found.leverages.leverages))
@@ -79,12 +78,6 @@ def lambda_error(model: Any, found: AtMinimum) -> Float[Array, "KC t"]:
     # wavelengths a factor of 1.6 for order two, is as far as first order goes
     variance = 2 / max(curvature, 0.5)
     return math.sqrt(variance) * moved
-
-
-def _some(problem: Problem, data: np.ndarray):
-    if problem.basis.dim == 1:
-        return None
-    return of_data(data, len(data)), np.asarray(len(data))
 
 
 @program(most=4)

@@ -3,8 +3,6 @@ leaves of it, how much it pulls the map to itself."""
 
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -12,6 +10,7 @@ from .._discretisation.jets import in_order
 from .._objective.arguments import argument
 from .._objective.problem import Problem, psi_jets
 from .._objective.sites import at_site, sites
+from .._objective.terms import weight_of
 from .._programs.program import program
 from .at_minimum import AtMinimum
 from .minimise import gauge, stage_of
@@ -124,7 +123,9 @@ def loss_weights(problem: Problem, model: Any) -> Float[np.ndarray, " k"]:
 def _loss_weights(problem: Problem, lam, w):
     _, data = sites(stage_of(problem, lam, gauge(problem), "projected", w))
     misfit, jets = problem.misfit, problem.data_jets
-    square_of = lambda near, jet, args: misfit.square(near, jet, args[0])
-    squares = at_site(data, square_of, psi_jets(problem, jets, w))
-    weights = jax.vmap(jax.vmap(jax.grad(misfit.rho)))(squares)
-    return in_order(jets, jnp.asarray(weights)[..., None], len(problem.y))[:, 0]
+
+    def weight(near, jet, args):
+        return weight_of(misfit, misfit.square(near, jet, args[0]))
+
+    weights = at_site(data, weight, psi_jets(problem, jets, w))
+    return in_order(jets, weights[..., None], len(problem.y))[:, 0]

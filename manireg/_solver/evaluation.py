@@ -47,15 +47,15 @@ def at_points(
     every call, or it is compiled again."""
     if is_concrete(*jax.tree.leaves((basis, owner, x))):
         near = centres_near(basis, np.asarray(x))
-        asked = _Function(function), basis, owner
+        asked = Function(function), basis, owner
         values, covered = at_each(_at_point, asked, x, near)
         return jax.device_put(values), np.all(covered)
     known = is_concrete(*jax.tree.leaves(basis))
     most = most_supports(basis) if known else len(basis.centres)
-    return _evaluate_traced((_Function(function), basis, owner), x, most)
+    return _evaluate_traced((Function(function), basis, owner), x, most)
 
 
-class _Function(eqx.Module):
+class Function(eqx.Module):
     """To be handed to programs among their arguments."""
 
     call: Callable = eqx.field(static=True)

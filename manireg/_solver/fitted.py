@@ -38,12 +38,11 @@ def fitted(
 ) -> tuple[Minimum, Leverages]:
     """The minimum next to `w` of an `argument(problem)`, without its model of the Hessian,
     and with `scored` the leverages of the `scored_data`, else zeros."""
-    data, on_curve = scored_data(problem), problem.basis.dim == 1
-    some = None if on_curve else (of_data(data, len(data)), np.asarray(len(data)))
+    data = scored_data(problem)
     limits, scored = jax.tree.map(np.asarray, (tuple(limits), scored))
+    some = asked(problem, data)
     found, seen = _fitted(problem, lam, w, limits, scored, some, method, solvers)
-    own = data if on_curve else slice(len(data))
-    return found, Leverages(*(np.asarray(a)[own] for a in seen))
+    return found, of_asked(problem, data, seen)
 
 
 def scored_data(problem: Problem) -> Int[np.ndarray, " n"]:
@@ -54,6 +53,21 @@ def scored_data(problem: Problem) -> Int[np.ndarray, " n"]:
     if problem.basis.dim == 1 or len(heavy) <= SCORED:
         return heavy
     return np.sort(np.random.default_rng(0).choice(heavy, SCORED, replace=False))
+
+
+def asked(problem: Problem, data: Int[np.ndarray, " n"]) -> Any:
+    """The `scored` of `leverages`, for these data: None on a curve, where all are."""
+    if problem.basis.dim == 1:
+        return None
+    return of_data(data, len(data)), np.asarray(len(data))
+
+
+def of_asked(
+    problem: Problem, data: Int[np.ndarray, " n"], seen: Leverages
+) -> Leverages:
+    """Of what programs give, without what fills it up: these data's, as NumPy arrays."""
+    own = data if problem.basis.dim == 1 else slice(len(data))
+    return Leverages(*(np.asarray(a)[own] for a in seen))
 
 
 @program(most=8)

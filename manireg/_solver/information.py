@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from .._algebra.covariances import Elements
 from .._algebra.sparse import SparseSymmetric
-from .._discretisation.jets import in_order, slots_of
+from .._discretisation.jets import columns_of, in_order, slots_of
 from .._objective.assembly import assembled
 from .._objective.hessian import point_hessians
 from .._objective.problem import Problem, number_of_data, psi_jets
@@ -60,7 +60,7 @@ class ModelInformation(AbstractInformation):
             values = filled(rows[some], size).reshape(
                 *(size, rows.shape[1]), -1, functions
             )
-            columns = _columns(filled(near[some], size), functions)
+            columns = columns_of(filled(near[some], size), functions)
             arrays = jax.device_put((values, columns, np.array(count)))
             found = _joint(self.hessian, Elements(*arrays), self.solvers)
             parts.append(np.asarray(found)[:count])
@@ -77,7 +77,7 @@ class ModelInformation(AbstractInformation):
         """A H^{-1} G H^{-1} A^T, G the part of H that is the data's: what their noise
         alone does."""
         (unknowns, t), functions = self.w.shape, self.hessian.pattern.functions
-        columns, parts = _columns(near, functions), []
+        columns, parts = columns_of(near, functions), []
         size = max(1, CHUNK_BYTES // (8 * unknowns * t * rows.shape[1] * t))
         for start in range(0, len(rows), size):
             some = slice(start, start + size)
@@ -105,7 +105,7 @@ class ObservedInformation(AbstractInformation):
 
     def covariances(self, rows, near):
         n, (q, J, _) = len(self.factor), rows.shape
-        parts, columns = [], _columns(near, self.functions)
+        parts, columns = [], columns_of(near, self.functions)
         size = max(1, CHUNK_BYTES // (8 * n * J * self.t))
         for start in range(0, q, size):
             some = slice(start, start + size)
@@ -170,16 +170,10 @@ def _positive(known: np.ndarray, missing: np.ndarray) -> np.ndarray:
     raise np.linalg.LinAlgError("posterior: the Hessian is not positive definite.")
 
 
-def _columns(near: Int[np.ndarray, "q L"], functions: int) -> Int[np.ndarray, "q LC"]:
-    own = near[:, :, None]
-    columns = np.where(own < 0, -1, own * functions + np.arange(functions))
-    return columns.reshape(len(near), -1)
-
-
 def _dense(rows, columns, unknowns: int, t: int) -> Float[np.ndarray, "KC t qJt"]:
     q, J, _ = rows.shape
     right = np.zeros((unknowns + 1, q, J))  # the last one takes what is padding
-    right[columns.T, np.arange(q)] = np.moveaxis(rows, 2, 0)
+    right[np.maximum(columns, -1).T, np.arange(q)] = np.moveaxis(rows, 2, 0)
     right = right[:-1, None, :, :, None] * np.eye(t)[:, None, None, :]
     return right.reshape(unknowns, t, -1)
 

@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.sparse import csr_array
 
-from .._discretisation.jets import centres_near
+from .._discretisation.jets import centres_near, columns_of
 from .._discretisation.local_polynomials import LocalPolynomials, basis_values
 from .._programs.sizes import at_each
 from .derivatives import curve_jet, of_psi
 from .directions import curved
-from .evaluation import nearby
+from .evaluation import Function, nearby
 
 
 class JetsAt(NamedTuple):
@@ -30,13 +30,10 @@ class JetsAt(NamedTuple):
     def as_matrix(self, size: int) -> csr_array:
         """The values `(q, K C)` of all basis functions."""
         values, functions = self.rows[:, 0], self.rows.shape[2] // self.near.shape[1]
-        columns = self.near[:, :, None] * functions + np.arange(functions)
-        point = np.broadcast_to(np.arange(len(values))[:, None, None], columns.shape)
-        there = columns >= 0
-        places = point[there], columns[there]
-        return csr_array(
-            (values.reshape(columns.shape)[there], places), shape=(len(values), size)
-        )
+        columns = columns_of(self.near, functions)
+        point, entry = np.nonzero(columns >= 0)
+        places = point, columns[point, entry]
+        return csr_array((values[point, entry], places), shape=(len(values), size))
 
 
 def jets_at(model: Any, flat: Float[np.ndarray, "q s"], order: int) -> JetsAt:
@@ -67,7 +64,7 @@ def pushed(
 ) -> tuple[Any, Float[np.ndarray, "q d d"]]:
     """`function(owner, jet, *arrays)` at each point, and to first order the covariance of
     its flattened value. `function` has to be the same object at every call."""
-    asked = _Function(function), owner
+    asked = Function(function), owner
     values, slopes = at_each(_with_slope, asked, jets.psi, *arrays)
     return values, slopes @ covariance @ np.swapaxes(slopes, 1, 2)
 
@@ -75,10 +72,6 @@ def pushed(
 class _Along(eqx.Module):
     source: Any
     order: int = eqx.field(static=True)
-
-
-class _Function(eqx.Module):
-    call: Callable = eqx.field(static=True)
 
 
 def _rows(owner, x, near):

@@ -1,6 +1,7 @@
 """How sure a fitted map is: the Laplace approximation around it (mathematics: 10.2,
 10.4)."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -153,11 +154,10 @@ class Posterior(eqx.Module):
 
     def sample(self, key: PRNGKeyArray, m: int) -> list[Any]:
         """`m` maps drawn at random, each a `RegressionMap`."""
-        none = lambda a: a is None
-        alone = eqx.tree_at(lambda f: f.problem, self.model, None, is_leaf=none)
+        alone = dataclasses.replace(self.model, problem=None)
         w = np.asarray(self.model.coefficients)
         drawn = jax.device_put([w + d for d in self._drawn(key, m)])
-        return [eqx.tree_at(lambda f: f.coefficients, alone, d) for d in drawn]
+        return [dataclasses.replace(alone, coefficients=d) for d in drawn]
 
     def velocity(self, x: Numbers) -> Estimate:
         """`model.velocity(x)`, tangent vectors `(q, *point_shape)` per unit of x, with
