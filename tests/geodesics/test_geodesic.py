@@ -206,10 +206,10 @@ def test_geodesic_loss_is_that_of_the_sphere():
     y /= np.linalg.norm(y, axis=1, keepdims=True)
     exact = mr.fit(interval, mr.Sphere(2), x, y, 0.1, centres=8)(x)
     gap = {
-        loss: np.abs(
-            mr.fit(interval, cloud, x, y, 0.1, centres=8, loss=loss)(x) - exact
+        distance: np.abs(
+            mr.fit(interval, cloud, x, y, 0.1, centres=8, distance=distance)(x) - exact
         )
-        for loss in ("chord", "geodesic")
+        for distance in ("chord", "geodesic")
     }
     assert gap["chord"].max() > 1e-2
     assert gap["geodesic"].max() < 1e-3
