@@ -7,6 +7,7 @@ minimiser stays where it is.
 """
 
 import abc
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -17,7 +18,7 @@ import sparsax
 from jaxtyping import Array, Float, Int
 
 from .banded import solve_banded, window_factors
-from .covariances import Elements, from_solves, from_windows
+from .covariances import Elements, from_halves, from_windows
 from .sparse import SparseSymmetric
 
 RIDGES = (1e-14, 1e-12, 1e-10)  # times the diagonal, tried in turn
@@ -76,9 +77,13 @@ class SparseCholesky(AbstractPositive):
         return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
     def covariances(self, operator, elements, joint=False):
-        state = self.init(operator, {})
-        solve = lambda sides: self.compute(state, sides, {})[0]
-        return from_solves(solve, operator.in_structure().shape, elements, joint)
+        (i, j, values), scale = self.init(operator, {})
+
+        def half(sides):
+            permuted = sparsax.solve(i, j, values, _flat(scale, sides), sparsax.MODE_P)
+            return sparsax.solve(i, j, values, permuted, sparsax.MODE_L)
+
+        return from_halves(half, operator.in_structure().shape, elements, joint)
 
 
 class BandCholesky(AbstractPositive):
@@ -126,22 +131,26 @@ class DenseCholesky(AbstractPositive):
         return _dense(operator)
 
     def compute(self, state, vector, options):
-        return self._solver(state)(vector), lx.RESULTS.successful, {}
+        matrix, scale = state
+        factor = _lower(matrix), True
+        solution = jax.scipy.linalg.cho_solve(factor, _flat(scale, vector))
+        return _unflat(scale, vector, solution), lx.RESULTS.successful, {}
 
     def covariances(self, operator, elements, joint=False):
-        solve = self._solver(self.init(operator, {}))
-        return from_solves(solve, operator.in_structure().shape, elements, joint)
+        matrix, scale = self.init(operator, {})
+        solve = functools.partial(
+            jax.scipy.linalg.solve_triangular, _lower(matrix), lower=True
+        )
+        half = lambda sides: solve(_flat(scale, sides))
+        return from_halves(half, operator.in_structure().shape, elements, joint)
 
-    def _solver(self, state):
-        matrix, scale = state
 
-        def factor(ridge):
-            ridged = matrix + ridge * jnp.eye(len(matrix))
-            return jax.lax.linalg.cholesky(ridged, symmetrize_input=False)
+def _lower(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    def factor(ridge):
+        ridged = matrix + ridge * jnp.eye(len(matrix))
+        return jax.lax.linalg.cholesky(ridged, symmetrize_input=False)
 
-        lower = first_finite(factor, RIDGES, matrix)[0]
-        solve = lambda rhs: jax.scipy.linalg.cho_solve((lower, True), rhs)
-        return lambda vector: _unflat(scale, vector, solve(_flat(scale, vector)))
+    return first_finite(factor, RIDGES, matrix)[0]
 
 
 def first_finite(

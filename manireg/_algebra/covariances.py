@@ -61,14 +61,14 @@ def from_windows(
     )
 
 
-def from_solves(
-    solve: Callable[[Array], Array],
+def from_halves(
+    half: Callable[[Array], Array],
     shape: tuple[int, ...],
     elements: Elements,
     joint: bool = False,
 ) -> Float[Array, "..."]:
-    """By right-hand sides `(*shape, n)`, some elements' at a time; `shape` is
-    `(size, t)`."""
+    """By half(b) = L^{-1} b with L L^T the matrix, of right-hand sides `(*shape, n)`, some
+    elements' at a time; `shape` is `(size, t)`."""
     size, t = shape
     p, L, f = elements.values.shape[1:]
 
@@ -84,11 +84,10 @@ def from_solves(
         right = right.at[places[..., None], both, owner[..., None], both].add(
             values[..., None]
         )
-        found = solve(right.reshape(size, t, -1)).reshape(right.shape)
-        found = found[places, :, owner]
+        found = half(right.reshape(size, t, -1)).reshape(-1, chunk, p, t)
         if joint:
-            return jnp.einsum("epu,equab->epaqb", values, found)
-        return jnp.einsum("epu,epuab->epab", values, found)
+            return jnp.einsum("nepa,neqb->epaqb", found, found)
+        return jnp.einsum("nepa,nepb->epab", found, found)
 
     arrays, largest = elements[:2], CHUNK_BYTES / (8 * size * t * p * t)
     return map_chunks(of_chunk, arrays, largest, elements.present)

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from scipy.optimize import root_scalar
 from scipy.special import gammaln
 
-from .._programs.program import program
+from .._programs.program import evaluated, program
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(200)
 
@@ -31,7 +31,7 @@ def efficient_radius(
     length sqrt(n) of a residual."""
     excess = lambda c: efficiency_of(loss(c), c, n) - efficiency
     bracket = np.sqrt(n) / 2, 4 * np.sqrt(n) + 4
-    with jax.ensure_compile_time_eval():  # under `jit`, too: all this is known
+    with evaluated():  # all this is known
         return root_scalar(excess, bracket=bracket, xtol=1e-9).root
 
 

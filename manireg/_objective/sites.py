@@ -1,5 +1,6 @@
 """Where terms are summed: two families of points, those of the quadrature and the data."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -71,6 +72,11 @@ def sites(stage: Stage) -> tuple[Site, Site]:
     misfit = problem.misfit, (problem.y, problem.precision.relative)
     fitted = site("data", *where, data, misfit)
     return smooth, fitted
+
+
+def misfit_alone(data: Site) -> Site:
+    """The data, of which users' terms are none."""
+    return dataclasses.replace(data, terms=data.terms[:1], arguments=data.arguments[:1])
 
 
 def at_points(site: Site, f: Callable, near, jets: Float[Array, "p J t"], arguments):

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
@@ -29,6 +30,13 @@ def _quickly() -> dict[str, Any]:
             one.lower(0.0).compile()
             known[name] = value
     return known
+
+
+def evaluated() -> contextlib.AbstractContextManager:
+    """Where what is known is computed at once, also inside a function that `jit` traces.
+    Elsewhere it is so anyway, and constants of programs would become programs."""
+    traced = isinstance(jnp.zeros(()), Tracer)
+    return jax.ensure_compile_time_eval() if traced else contextlib.nullcontext()
 
 
 class _Shape(NamedTuple):

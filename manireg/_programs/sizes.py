@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from .program import program
+from .program import evaluated, program
 
 ROWS = 4096  # at most, of a program that works row by row
 FEWEST_ROWS = 16
@@ -58,7 +58,7 @@ def at_each(
     n = len(arrays[0])
     size = power_of_four(min(n, most), least=FEWEST_ROWS)
     parts, host = [], [np.asarray(a) for a in arrays]
-    with jax.ensure_compile_time_eval():  # under `jit`, too: all this is known
+    with evaluated():  # all this is known
         for start in range(0, max(n, 1), size):
             rows = [filled(a[start : start + size], size) for a in host]
             parts.append(jax.tree.map(np.asarray, _rows(function, owner, *rows)))

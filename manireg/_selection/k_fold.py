@@ -12,7 +12,7 @@ from .._objective.objective import objective
 from .._objective.problem import Problem, psi_at_data
 from .._programs.program import program
 from .._solver.linear import AbstractSolvers, direct_solvers
-from .._solver.minimise import gauge, minimise, newton_minimiser, stage_of
+from .._solver.minimise import minimise, newton_minimiser, projected_stage
 from .._solver.solve import solve
 from .._solver.starts import starts_of
 from .folds import held_out_error
@@ -124,7 +124,7 @@ def _lowest(w: Float[Array, "folds KC t"], problem: Problem, lam):
     """The map of lowest objective on all data: folds may lie in different minima."""
 
     def total(w):
-        stage = stage_of(problem, lam, gauge(problem), "projected", w)
+        stage = projected_stage(problem, lam, w)
         return objective(w, stage)[0]
 
     totals = jnp.nan_to_num(jax.lax.map(total, w), nan=jnp.inf)

@@ -24,7 +24,7 @@ from .._objective.problem import Problem, psi_jets
 from .._objective.sites import at_site, sites
 from .._programs.program import program
 from .._solver.at_minimum import at_minimum
-from .._solver.minimise import gauge, stage_of
+from .._solver.minimise import projected_stage
 from .._solver.model import RegressionMap
 from .._solver.solve import solve
 from .._sources.input_errors import InputErrors
@@ -146,7 +146,7 @@ def _normalised(
 @program(most=4)
 def _at_nodes(problem: Problem, lam: Any, w: Any):
     """What each node costs, and the values of Psi there."""
-    stage = stage_of(problem, lam, gauge(problem), "projected", w)
+    stage = projected_stage(problem, lam, w)
     (_, data), jets, k = sites(stage), problem.data_jets, len(problem.y)
     psi = psi_jets(problem, jets, w)
     cost = lambda near, jet, args: problem.misfit.density(near, jet, args[0])

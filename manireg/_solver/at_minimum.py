@@ -1,27 +1,30 @@
 """A fitted map seen from inside: the Hessian there, the leverages of its data, and how
 these scatter."""
 
+import functools
 import math
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from .._algebra.sparse import SparseSymmetric
 from .._objective.arguments import argument
 from .._objective.hessian import gauss_newton
 from .._objective.objective import objective
 from .._objective.problem import Problem, number_of_data
+from .._objective.sites import misfit_alone, sites
 from .._programs.program import program
+from .draws import root
 from .fitted import asked, of_asked, scored_data
 from .leverages import Leverages, leverages
 from .linear import AbstractSolvers, direct_solvers
-from .minimise import gauge, stage_of
+from .minimise import projected_stage
 from .spread import Spread, spread_of
 
-STEP = 1.2  # of lambda, for the change of edf
+PROBES = 64  # random vectors, for traces to some per cent
 
 
 class AtMinimum(NamedTuple):
@@ -60,42 +63,46 @@ def problem_of(model: Any) -> Problem:
     return model.problem
 
 
-def lambda_error(model: Any, found: AtMinimum) -> Float[Array, "KC t"]:
+def lambda_error(model: Any, found: AtMinimum) -> Float[np.ndarray, "KC t"]:
     r"""$\sqrt V\, dw / d \log \lambda$, V the variance of $\log \lambda$ by the curvature
     of the restricted likelihood (Wood, Pya and Saefken 2016, of their correction the first
     part): with $dw / d \log \lambda = - H^{-1} g$, $g = \lambda \nabla S$, and
     $2 / V = k (\lambda S - g^\top H^{-1} g) / \hat\sigma^2 - d\,\mathrm{edf} / d \log
-    \lambda$."""
-    given, lam, w = found.given, model.lam, model.coefficients
-    moved, promised, edf = _along_lambda(
-        given, lam, w, asked(model.problem, found.data), found.solvers, found.hessian
+    \lambda$, where $- d\,\mathrm{edf} / d \log \lambda = \mathrm{edf} -
+    \mathrm{tr}(A^2)$, A what data do to their fitted values."""
+    along = _along_lambda(
+        found.given, model.lam, model.coefficients, found.hessian, found.solvers
     )
+    moved, promised, trace, square = map(np.asarray, along)
     spread, k = found.spread, number_of_data(model.problem)
-    lost = spread.edf * (1 - float(edf) / np.sum(found.leverages.leverages))
-    gained = spread.penalty - k * float(promised)
-    curvature = gained / spread.variance + lost / math.log(STEP)
+    lost = spread.edf * (1 - square / trace)
+    curvature = (spread.penalty - k * promised) / spread.variance + lost
     # less: the likelihood is flat, and says nothing of lambda; a variance of 4, of
     # wavelengths a factor of 1.6 for order two, is as far as first order goes
-    variance = 2 / max(curvature, 0.5)
-    return math.sqrt(variance) * moved
+    return math.sqrt(2 / max(curvature, 0.5)) * moved
 
 
 @program(most=4)
 def _seen(problem, lam, w, data, solvers):
-    stage = stage_of(problem, lam, gauge(problem), "projected", w)
+    stage = projected_stage(problem, lam, w)
     hessian = gauss_newton(w, stage)
     return hessian, leverages(w, stage, hessian, solvers, data)
 
 
 @program(most=4)
-def _along_lambda(problem, lam, w, data, solvers, hessian):
-    stage = stage_of(problem, lam, gauge(problem), "projected", w)
-    cost = lambda w: lam * objective(w, stage)[1].energy
-    g = jax.grad(cost)(w)
-    factor = solvers.positive.init(hessian, {})
-    moved = -solvers.positive.compute(factor, g, {})[0]
-    stage = stage_of(problem, STEP * lam, gauge(problem), "projected", w)
-    seen = leverages(w, stage, gauss_newton(w, stage), solvers, data)
-    weights = problem.weights if data is None else jnp.arange(len(data[0])) < data[1]
-    own = jnp.where(weights > 0, jnp.sum(seen.leverages, axis=1), 0.0)
-    return moved, -jnp.sum(g * moved), jnp.sum(own)
+def _along_lambda(problem, lam, w, hessian, solvers):
+    stage = projected_stage(problem, lam, w)
+    g = jax.grad(lambda w: lam * objective(w, stage)[1].energy)(w)
+    solve = functools.partial(
+        solvers.positive.compute, solvers.positive.init(hessian, {}), options={}
+    )
+    moved = -solve(g)[0]
+    # both traces of what data do to data, by random signs (Hutchinson 1990)
+    at_data = functools.partial(root, misfit_alone(sites(stage)[1]), stage)
+    r, push = jax.linearize(at_data, w)
+    pull = jax.linear_transpose(push, w)
+    signs = jax.random.rademacher(jax.random.key(0), (PROBES, *r.shape), r.dtype)
+    sides = jax.vmap(lambda z: pull(z)[0], out_axes=-1)(signs)
+    fitted = 2 * jax.vmap(push, in_axes=-1)(solve(sides)[0])
+    trace, square = jnp.sum(signs * fitted), jnp.sum(fitted**2)
+    return moved, -jnp.sum(g * moved), trace / PROBES, square / PROBES

@@ -13,7 +13,7 @@ from .._objective.sites import at_site, sites
 from .._objective.terms import weight_of
 from .._programs.program import program
 from .at_minimum import AtMinimum
-from .minimise import gauge, stage_of
+from .minimise import projected_stage
 
 
 class Diagnostics(NamedTuple):
@@ -51,7 +51,7 @@ def diagnostics(problem: Problem, found: AtMinimum, sigma: float) -> Diagnostics
     squares = np.sum(seen.residuals * seen.left_out, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):  # of data without noise
         standardised = np.sqrt(share * np.maximum(squares, 0.0)) / sigma
-    inputs = problem.source.from_ambient(problem.x)
+    inputs = problem.source.from_ambient(np.asarray(problem.x))
     each = Diagnostics(
         data=index,
         inputs=np.asarray(inputs)[index],
@@ -121,7 +121,7 @@ def loss_weights(problem: Problem, model: Any) -> Float[np.ndarray, " k"]:
 
 @program(most=4)
 def _loss_weights(problem: Problem, lam, w):
-    _, data = sites(stage_of(problem, lam, gauge(problem), "projected", w))
+    _, data = sites(projected_stage(problem, lam, w))
     misfit, jets = problem.misfit, problem.data_jets
 
     def weight(near, jet, args):

@@ -2,17 +2,17 @@
 
 import functools
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 from .._objective.hessian import gauss_newton, weighted_residuals
 from .._objective.problem import Problem, psi_jets
-from .._objective.sites import Stage, at_site, sites
+from .._objective.sites import Site, Stage, at_site, sites
 from .._programs.program import program
 from .linear import AbstractSolvers
+from .minimise import projected_stage
 
 AT_A_TIME = 64  # draws
 # times the gauge, which is not disturbed: what is normal to N, which nothing else holds,
@@ -22,7 +22,8 @@ STIFF = 1e4
 
 
 def draws(
-    stage: Stage,
+    problem: Problem,
+    lam: ScalarLike,
     w: Float[Array, "KC t"],
     solvers: AbstractSolvers,
     key: PRNGKeyArray,
@@ -32,35 +33,33 @@ def draws(
     $H^{-1} g$, $g = \sqrt 2 \sum_q J_q^\top \xi_q$ with standard normal $\xi$ (perturb and
     optimise: Papandreou and Yuille 2010). No factor of H has to be known, and no matrix is
     dense."""
-    stage = eqx.tree_at(lambda s: s.gamma, stage, STIFF * stage.gamma)
-    hessian = _model(w, stage)
+    hessian = _stiff_model(problem, lam, w)
     keys = jax.random.key_data(jax.random.split(key, -(-m // AT_A_TIME)))
-    parts = [np.asarray(_draws(stage, w, hessian, solvers, one)) for one in keys]
-    return np.concatenate(parts)[:m]
+    each = (_draws(problem, lam, w, hessian, solvers, one) for one in keys)
+    return np.concatenate([np.asarray(part) for part in each])[:m]
 
 
-_model = program(most=4)(gauss_newton)
+def root(site: Site, stage: Stage, w: Float[Array, "KC t"]) -> Float[Array, "e p r"]:
+    """Residuals whose squares are all that the objective sums up at the points of a site,
+    rho' as it is at w."""
+    of_point = weighted_residuals(site, stage)
+    r = at_site(site, of_point, psi_jets(stage.problem, site.jets, w))
+    # not beyond the elements that hold points, and nothing of their padding
+    present = jnp.arange(len(r)) < site.jets.count
+    scale = jnp.where(present[:, None], site.weights, 0.0)
+    return jnp.sqrt(scale)[..., None] * jnp.where(scale[..., None] > 0, r, 0.0)
 
 
 @program(most=4)
-def _draws(stage, w, hessian, solvers, key):
-    problem: Problem = stage.problem
-    stage = eqx.tree_at(lambda s: s.gamma, stage, jnp.zeros_like(stage.gamma))
+def _stiff_model(problem, lam, w):
+    return gauss_newton(w, projected_stage(problem, lam, w, STIFF))
 
-    def residuals(w):
-        """Square roots of all that the objective sums up, but for the gauge."""
-        both = []
-        for site in sites(stage):
-            of_point = weighted_residuals(site, stage)
-            r = at_site(site, of_point, psi_jets(problem, site.jets, w))
-            # not beyond the elements that hold points, and nothing of their padding
-            present = jnp.arange(len(r)) < site.jets.count
-            scale = jnp.where(present[:, None], site.weights, 0.0)
-            some = jnp.where(scale[..., None] > 0, r, 0.0)
-            both.append(jnp.sqrt(scale)[..., None] * some)
-        return both
 
-    values, pull = jax.vjp(residuals, w)
+@program(most=4)
+def _draws(problem, lam, w, hessian, solvers, key):
+    stage = projected_stage(problem, lam, w, 0.0)
+    roots = lambda w: [root(site, stage, w) for site in sites(stage)]
+    values, pull = jax.vjp(roots, w)
 
     def disturbed(key):
         keys = jax.random.split(key, len(values))

@@ -17,11 +17,12 @@ from .._discretisation.jets import columns_of, in_order, slots_of
 from .._objective.assembly import assembled
 from .._objective.hessian import point_hessians
 from .._objective.problem import Problem, number_of_data, psi_jets
-from .._objective.sites import Stage, at_site, sites
+from .._objective.sites import at_site, sites
 from .._programs.program import program
 from .._programs.sizes import ROWS, filled, power_of_four
 from .draws import draws
 from .linear import AbstractSolvers
+from .minimise import projected_stage
 
 LEAST_ROWS = 16
 CHUNK_BYTES = 100_000_000  # of right-hand sides of a dense factor
@@ -45,7 +46,9 @@ class AbstractInformation(eqx.Module):
 class ModelInformation(AbstractInformation):
     """The Gauss-Newton model: sparse, whatever the numbers of data and centres."""
 
-    stage: Stage
+    problem: Problem
+    """As programs see it."""
+    lam: Float[Array, ""]
     w: Float[Array, "KC t"]
     hessian: SparseSymmetric
     solvers: AbstractSolvers
@@ -69,7 +72,7 @@ class ModelInformation(AbstractInformation):
         return whole.reshape(len(whole), both, both)
 
     def draws(self, key, m):
-        return draws(self.stage, self.w, self.solvers, key, m)
+        return draws(self.problem, self.lam, self.w, self.solvers, key, m)
 
     def sampling(
         self, rows: Float[np.ndarray, "q J LC"], near: Int[np.ndarray, "q L"]
@@ -84,7 +87,7 @@ class ModelInformation(AbstractInformation):
             right = _dense(rows[some], columns[some], unknowns, t)
             right = jax.device_put(right)
             left, moved = _by_noise(
-                self.stage, self.w, self.hessian, self.solvers, right
+                self.problem, self.lam, self.w, self.hessian, self.solvers, right
             )
             both = (unknowns * t, len(rows[some]), -1)
             left, moved = (np.asarray(a).reshape(both) for a in (left, moved))
@@ -123,7 +126,7 @@ class ObservedInformation(AbstractInformation):
 
 
 def observed_information(
-    problem: Problem, given: Problem, stage: Stage, w: Any, hessian, variance: float
+    problem: Problem, given: Problem, lam: Any, w: Any, hessian, variance: float
 ) -> ObservedInformation:
     r"""$H - \frac{1}{2 \sigma^2 k} \sum_i \mathrm{Cov}_i(g)$, g the gradients of what the
     nodes of datum i cost, weighed as the nodes are. `given`: the problem as programs see
@@ -131,7 +134,7 @@ def observed_information(
     assert problem.owner is not None
     k, n = number_of_data(problem), len(problem.y)
     functions, t = problem.pattern.functions, problem.y.shape[1]
-    gradients = np.asarray(_gradients(given, stage, w))[:n]
+    gradients = np.asarray(_gradients(given, lam, w))[:n]
     jets = problem.data_jets
     slots = np.asarray(slots_of(jets, n))
     matrices = np.asarray(jets.matrices)[:, :, 0].reshape(-1, jets.matrices.shape[-1])
@@ -184,8 +187,9 @@ def _joint(hessian, elements: Elements, solvers) -> Float[Array, "q J t J t"]:
 
 
 @program(most=4)
-def _by_noise(stage: Stage, w, hessian, solvers, right):
+def _by_noise(problem: Problem, lam, w, hessian, solvers, right):
     """H^{-1} right, and G times it."""
+    stage = projected_stage(problem, lam, w)
     factor = solvers.positive.init(hessian, {})
     left = solvers.positive.compute(factor, right, {})[0]
     families = point_hessians(w, stage, exact=False)
@@ -194,9 +198,9 @@ def _by_noise(stage: Stage, w, hessian, solvers, right):
 
 
 @program(most=4)
-def _gradients(problem: Problem, stage: Stage, w):
+def _gradients(problem: Problem, lam, w):
     """Of what each node costs, in Psi there."""
-    _, data = sites(stage)
+    _, data = sites(projected_stage(problem, lam, w))
     jets, misfit = problem.data_jets, problem.misfit
     psi = psi_jets(problem, jets, w)
 

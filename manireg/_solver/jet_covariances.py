@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from .._discretisation.jets import centres_near, columns_of
@@ -48,7 +48,7 @@ def jets_at(model: Any, flat: Float[np.ndarray, "q s"], order: int) -> JetsAt:
 
 
 def displaced(
-    jets: JetsAt, basis: LocalPolynomials, dw: Float[Array, "KC t"]
+    jets: JetsAt, basis: LocalPolynomials, dw: Float[np.ndarray, "KC t"]
 ) -> Float[np.ndarray, "q Jt"]:
     """How the jets move with the coefficients."""
     owner = basis, dw, np.zeros(dw.shape[1])

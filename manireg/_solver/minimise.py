@@ -59,6 +59,11 @@ def stage_of(problem: Problem, lam, gamma, method: Method, w) -> Stage:
     return Stage(problem, lam, gamma, energy, patches_near(problem, w))
 
 
+def projected_stage(problem: Problem, lam, w, stiff: float = 1.0) -> Stage:
+    """That of the last solve; `stiff`: times its gauge."""
+    return stage_of(problem, lam, stiff * gauge(problem), "projected", w)
+
+
 def minimise(
     problem: Problem,
     lam,

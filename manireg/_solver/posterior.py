@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Float, PRNGKeyArray
 
 from .._input.numbers import Numbers
 from .._objective.problem import number_of_data
@@ -24,12 +24,10 @@ from .information import (
     observed_information,
 )
 from .jet_covariances import JetsAt, displaced, jets_at, pushed
-from .minimise import gauge, stage_of
 from .quantities import (
-    euler_pole,
     in_frame,
+    motion,
     slope,
-    speed_and_azimuth,
     turn_in_body,
     turn_in_space,
     velocity_in_frame,
@@ -86,7 +84,7 @@ class Posterior(eqx.Module):
     r"""$2 \hat\sigma^2 / k$."""
     standardised: Float[np.ndarray, " k"]
     """Lengths of the residuals of left-out data in standard deviations of a new datum."""
-    along_lambda: Float[Array, "KC t"] | None
+    along_lambda: Float[np.ndarray, "KC t"] | None
     r"""What one standard deviation of $\log \lambda$ does to the coefficients; None where
     lambda is taken as known."""
 
@@ -194,12 +192,12 @@ class Posterior(eqx.Module):
         if not isinstance(target, Sphere) or target.dim != 2:
             raise ValueError("sphere_motion: only of maps into Sphere(2).")
         _, jets, _ = self._values(x, order=1)
-        both, covariance = self._pushed(speed_and_azimuth, jets)
+        both, covariance = self._pushed(motion, jets)
+        both, poles = both[:, :2], both[:, 2:]
         deviation = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
-        poles, ambient = self._pushed(euler_pole, jets)
         globe = Sphere(2)
         frames = tangent_frames(globe, poles)
-        reduced = np.swapaxes(frames, 1, 2) @ ambient @ frames
+        reduced = np.swapaxes(frames, 1, 2) @ covariance[:, 2:, 2:] @ frames
         radius = quantile_radius(level, 2)
         region = Region(globe, jax.device_put(poles), reduced, frames, radius, level)
         parts = both[:, 0], deviation[:, 0], both[:, 1], deviation[:, 1]
@@ -209,12 +207,10 @@ class Posterior(eqx.Module):
         """The map at `x`, its jets there, and frames of the tangent spaces."""
         if order:
             check_curve(self.model.source, "velocity")
-        flat, _ = check_inputs(self.model.source, x)
-        source = self.model.source
-        centre = self.model(
-            source.from_ambient(flat)
-        )  # which looks for uncovered points
-        jets = jets_at(self.model, np.asarray(flat), order)
+        flat = np.asarray(check_inputs(self.model.source, x)[0])
+        # which looks for uncovered points
+        centre = self.model(self.model.source.from_ambient(flat))
+        jets = jets_at(self.model, flat, order)
         return centre, jets, tangent_frames(self.model.target, np.asarray(centre))
 
     def _pushed(self, function, jets: JetsAt, *arrays):
@@ -229,7 +225,7 @@ class Posterior(eqx.Module):
         found = np.sqrt(self.scale) * self.information.draws(key, m)
         if self.along_lambda is not None:
             steps = jax.random.normal(jax.random.fold_in(key, 1), (m, 1, 1))
-            found = found + np.asarray(steps) * np.asarray(self.along_lambda)
+            found = found + np.asarray(steps) * self.along_lambda
         return found
 
     def _band(self, jets: JetsAt, covariance, frames, level, key) -> float:
@@ -248,13 +244,11 @@ def posterior_of(model: Any, smoothing_known: bool) -> Posterior:
     found = at_minimum(model)
     problem, lam, w = model.problem, model.lam, model.coefficients
     variance = found.spread.variance
-    stage = stage_of(found.given, lam, gauge(found.given), "projected", w)
+    given, hessian = found.given, found.hessian
     if problem.owner is None:
-        information = ModelInformation(stage, w, found.hessian, found.solvers)
+        information = ModelInformation(given, lam, w, hessian, found.solvers)
     else:
-        information = observed_information(
-            problem, found.given, stage, w, found.hessian, variance
-        )
+        information = observed_information(problem, given, lam, w, hessian, variance)
     scale = 2 * variance / number_of_data(problem)
     along = None if smoothing_known else lambda_error(model, found)
     each = diagnostics(problem, found, float(np.sqrt(variance)))

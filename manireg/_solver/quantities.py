@@ -35,14 +35,7 @@ def turn_in_body(target, psi):
     return angular_velocity(point, _velocity(target, psi), "body")
 
 
-def _motion(target, psi):
-    return sphere_motion(target.project(psi[0]), _velocity(target, psi))
-
-
-def speed_and_azimuth(target, psi):
-    motion = _motion(target, psi)
-    return jnp.stack([motion.speed, motion.azimuth])
-
-
-def euler_pole(target, psi):
-    return _motion(target, psi).euler_pole
+def motion(target, psi):
+    """Speed, azimuth, and the Euler pole."""
+    found = sphere_motion(target.project(psi[0]), _velocity(target, psi))
+    return jnp.concatenate([jnp.stack([found.speed, found.azimuth]), found.euler_pole])

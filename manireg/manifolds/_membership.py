@@ -5,6 +5,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
+from .._programs.program import evaluated
 from .._programs.sizes import at_each
 
 ON_MANIFOLD = 1e-6  # allowed distance of data to a manifold, in its smallest radii
@@ -69,7 +70,7 @@ def _check_near(name, label, space, points, gap):
 def by_reach(space, flat: np.ndarray) -> float:
     """A millionth of the reach, the smallest radius at which a manifold bends or meets
     itself; for a flat one of the size of the data `(k, s)`."""
-    with jax.ensure_compile_time_eval():
+    with evaluated():
         reach = float(np.asarray(space.reach))
     if np.isfinite(reach):
         return ON_MANIFOLD * reach
