@@ -192,15 +192,15 @@ class Posterior(eqx.Module):
         if not isinstance(target, Sphere) or target.dim != 2:
             raise ValueError("sphere_motion: only of maps into Sphere(2).")
         _, jets, _ = self._values(x, order=1)
-        both, covariance = self._pushed(motion, jets)
-        both, poles = both[:, :2], both[:, 2:]
+        values, covariance = self._pushed(motion, jets)
+        speed, azimuth, poles = values[:, 0], values[:, 1], values[:, 2:]
         deviation = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
         globe = Sphere(2)
         frames = tangent_frames(globe, poles)
         reduced = np.swapaxes(frames, 1, 2) @ covariance[:, 2:, 2:] @ frames
         radius = quantile_radius(level, 2)
         region = Region(globe, jax.device_put(poles), reduced, frames, radius, level)
-        parts = both[:, 0], deviation[:, 0], both[:, 1], deviation[:, 1]
+        parts = speed, deviation[:, 0], azimuth, deviation[:, 1]
         return MotionEstimate(*parts, region)
 
     def _values(self, x: Numbers, order: int = 0):

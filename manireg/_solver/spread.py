@@ -57,10 +57,8 @@ def spread_of(problem: Problem, model: Any, seen: Leverages) -> Spread:
     if problem.owner is None:
         edf *= k / len(seen.leverages)
     energies = model.energies
-    rss, penalty = (
-        k * float(energies.loss),
-        k * float(model.lam) * float(energies.energy),
-    )
+    rss = k * float(energies.loss)
+    penalty = k * float(model.lam) * float(energies.energy)
     null = null_dimension(problem.source, problem.energy.order) * n
     mean = None if precision.mean is None else float(precision.mean)
     robust = None if problem.misfit.squared else _robust(problem, seen, k, dof - edf)
