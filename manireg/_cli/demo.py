@@ -66,7 +66,7 @@ def demo(
         data = (
             f"{len(x)} poles of {plate}, {shown(x[0])} to {shown(x[-1])} million years"
         )
-        more = noise_rows(model, np.degrees(1.0))
+        more = noise_rows(posterior, np.degrees(1.0))
         more |= theta_row(f"theta{100 * LEVEL:g}", region.theta95)
         fitted = model, cv, np.degrees(1.0), seconds
         report(data, *fitted, [out], more, criterion=CRITERION)

@@ -213,7 +213,7 @@ def fit(
             draw(picture, model, posterior, x, there, axes, level)
             written.append(picture)
         summary = f"{len(x)} rows of {data.name}, {', '.join(inputs)} -> {target}"
-        more = noise_rows(model, there.degrees)
+        more = noise_rows(posterior, there.degrees)
         if theta(level) in sure[0]:
             more |= theta_row(theta(level), sure[1][:, sure[0].index(theta(level))])
         starts = [f"{a.name} in seconds since {a.start}" for a in axes if a.dates]

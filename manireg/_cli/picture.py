@@ -29,11 +29,15 @@ def draw(
     labels = tuple(axis.label for axis in axes)
     share = level / 100 if one and np.isfinite(posterior.scale) else None
     if one and isinstance(there.manifold, mr.Sphere) and there.manifold.dim == 2:
-        picture = plot.sphere_path(model, x, y, label=labels[0], level=share)
+        picture = plot.sphere_path(
+            model, x, y, label=labels[0], level=share, posterior=posterior
+        )
     elif one and len(there.columns) < y[0].size == 2:
         picture = _angles(model, posterior, x, there, labels[0], share)
     else:
-        picture = plot.coordinates(model, x, y, names=names, label=labels, level=share)
+        picture = plot.coordinates(
+            model, x, y, names=names, label=labels, level=share, posterior=posterior
+        )
     plot.save(picture, path)
 
 
@@ -51,7 +55,7 @@ def _angles(model, posterior, x, there: Target, label: str, share: float | None)
     picture = plot.coordinates(angle, x, data, names=(name,), label=label)
     if share is not None:
         error = uncertainty(posterior, TargetName.circle, there, inputs, 100 * share)
-        half = quantile_radius(share, 1) * error[1][:, 0]
+        half = quantile_radius(share, 1, posterior.freedom) * error[1][:, 0]
         panel = picture.axes[0]
         panel.fill_between(inputs, fitted - half, fitted + half, alpha=0.25, lw=0)
     return picture

@@ -59,10 +59,10 @@ def report(
     print_rows(rows, files)
 
 
-def noise_rows(model: Any, degrees: float | None) -> dict[str, str]:
-    """How data scatter about the map, and which of them were let go: the part of its
-    summary that is not told elsewhere."""
-    rows = model.summary().rows(degrees)
+def noise_rows(posterior: Any, degrees: float | None) -> dict[str, str]:
+    """How data scatter about the map, and which of them were let go: the part of the
+    summary of a `Posterior` that is not told elsewhere."""
+    rows = posterior.summary().rows(degrees)
     return {
         name: value
         for name, value in rows.items()

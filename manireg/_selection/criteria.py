@@ -104,7 +104,7 @@ class RestrictedLikelihood(AbstractCriterion):
     def better(self, lams, judged, spreads):
         """The zero of the slope, of the cubic through the four fits around it."""
         best = int(np.argmin(judged[0]))
-        slopes = np.array([_each(s, _slope) for s in spreads])
+        slopes = np.array([_each(s, lambda s: s.restricted_slope) for s in spreads])
         left = best if slopes[best] < 0 else best - 1
         if left < 0 or left + 1 >= len(lams):
             return None
@@ -132,14 +132,6 @@ def criterion_of(name: CriterionName) -> AbstractCriterion:
             f"criterion: expected 'error', 'gcv' or 'reml', found {name!r}."
         )
     return criteria[name]()
-
-
-def _slope(s: Spread) -> float:
-    """Of the restricted likelihood in log lambda."""
-    precision = s.precision
-    if precision is None:
-        precision = (s.dof - s.null) / (s.rss + s.penalty)
-    return precision * s.penalty - (s.edf - s.null)
 
 
 def _each(spread: Spread | None, value) -> float:

@@ -77,7 +77,7 @@ class OneFit(AbstractScore):
         # a fit that ends in no numbers is no start for the next
         place = w if np.all(np.isfinite(np.asarray(w))) else place
         converged = np.full(scores.shape, is_successful(model.result))
-        found = Found(model, spread_of(self.problem, model, seen))
+        found = Found(model, spread_of(self.problem, lam, model.energies, seen))
         return Fit(place, scores, converged, _total(model), found)
 
     def judged(self, lams, fits):

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from .._algebra.sparse import SparseSymmetric
 from .._objective.arguments import argument
 from .._objective.hessian import gauss_newton
-from .._objective.objective import objective
+from .._objective.objective import Energies, objective
 from .._objective.problem import Problem, number_of_data
 from .._objective.sites import misfit_alone, sites
 from .._programs.program import program
@@ -30,6 +30,8 @@ PROBES = 64  # random vectors, for traces to some per cent
 class AtMinimum(NamedTuple):
     given: Problem
     """The problem as programs see it."""
+    lam: Float[Array, ""]
+    w: Float[Array, "KC t"]
     solvers: AbstractSolvers
     hessian: SparseSymmetric
     """The Gauss-Newton model: every term's curvature but that of its residuals."""
@@ -41,15 +43,19 @@ class AtMinimum(NamedTuple):
 
 def at_minimum(model: Any) -> AtMinimum:
     """Of a `RegressionMap`. **Raises** ValueError for one without its problem."""
-    problem = problem_of(model)
+    return seen_at(problem_of(model), model.lam, model.coefficients, model.energies)
+
+
+def seen_at(
+    problem: Problem, lam: Float[Array, ""], w: Float[Array, "KC t"], energies: Energies
+) -> AtMinimum:
+    """Of the fit at `lam` with coefficients `w`."""
     given, solvers = argument(problem), direct_solvers(problem)
     data = scored_data(problem)
-    hessian, seen = _seen(
-        given, model.lam, model.coefficients, asked(problem, data), solvers
-    )
+    hessian, seen = _seen(given, lam, w, asked(problem, data), solvers)
     seen = of_asked(problem, data, seen)
-    spread = spread_of(problem, model, seen)
-    return AtMinimum(given, solvers, hessian, data, seen, spread)
+    spread = spread_of(problem, lam, energies, seen)
+    return AtMinimum(given, lam, w, solvers, hessian, data, seen, spread)
 
 
 def problem_of(model: Any) -> Problem:
@@ -63,23 +69,24 @@ def problem_of(model: Any) -> Problem:
     return model.problem
 
 
-def lambda_error(model: Any, found: AtMinimum) -> Float[np.ndarray, "KC t"]:
-    r"""$\sqrt V\, dw / d \log \lambda$, V the variance of $\log \lambda$ by the curvature
-    of the restricted likelihood (Wood, Pya and Saefken 2016, of their correction the first
-    part): with $dw / d \log \lambda = - H^{-1} g$, $g = \lambda \nabla S$, and
-    $2 / V = k (\lambda S - g^\top H^{-1} g) / \hat\sigma^2 - d\,\mathrm{edf} / d \log
-    \lambda$, where $- d\,\mathrm{edf} / d \log \lambda = \mathrm{edf} -
-    \mathrm{tr}(A^2)$, A what data do to their fitted values."""
-    along = _along_lambda(
-        found.given, model.lam, model.coefficients, found.hessian, found.solvers
-    )
+def lambda_error(
+    problem: Problem, found: AtMinimum
+) -> tuple[float, Float[np.ndarray, "KC t"]]:
+    r"""$V$, the variance of $\log \lambda$ by the curvature of the restricted likelihood,
+    infinite where that says nothing, and $dw / d \log \lambda$ (Wood, Pya and Saefken
+    2016, of their correction the first part):
+
+    $$\frac{dw}{d \log \lambda} = - H^{-1} g, \quad g = \lambda \nabla S, \qquad
+    \frac{2}{V} = \frac{k (\lambda S - g^\top H^{-1} g)}{\hat\sigma^2}
+    + \mathrm{edf} - \mathrm{tr}(A^2),$$
+
+    A what data do to their fitted values."""
+    along = _along_lambda(found.given, found.lam, found.w, found.hessian, found.solvers)
     moved, promised, trace, square = map(np.asarray, along)
-    spread, k = found.spread, number_of_data(model.problem)
+    spread, k = found.spread, number_of_data(problem)
     lost = spread.edf * (1 - square / trace)
     curvature = (spread.penalty - k * promised) / spread.variance + lost
-    # less: the likelihood is flat, and says nothing of lambda; a variance of 4, of
-    # wavelengths a factor of 1.6 for order two, is as far as first order goes
-    return math.sqrt(2 / max(curvature, 0.5)) * moved
+    return float(2 / curvature) if curvature > 0 else math.inf, moved
 
 
 @program(most=4)

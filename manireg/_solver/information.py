@@ -2,7 +2,6 @@
 inverse, seen only through what it does."""
 
 import abc
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,6 +19,7 @@ from .._objective.problem import Problem, number_of_data, psi_jets
 from .._objective.sites import at_site, sites
 from .._programs.program import program
 from .._programs.sizes import ROWS, filled, power_of_four
+from .at_minimum import AtMinimum
 from .draws import draws
 from .linear import AbstractSolvers
 from .minimise import projected_stage
@@ -52,6 +52,10 @@ class ModelInformation(AbstractInformation):
     w: Float[Array, "KC t"]
     hessian: SparseSymmetric
     solvers: AbstractSolvers
+
+    @classmethod
+    def of(cls, found: AtMinimum) -> "ModelInformation":
+        return cls(found.given, found.lam, found.w, found.hessian, found.solvers)
 
     def covariances(self, rows, near):
         functions = self.hessian.pattern.functions
@@ -125,16 +129,13 @@ class ObservedInformation(AbstractInformation):
         return found.T.reshape(m, -1, self.t)
 
 
-def observed_information(
-    problem: Problem, given: Problem, lam: Any, w: Any, hessian, variance: float
-) -> ObservedInformation:
+def observed_information(problem: Problem, found: AtMinimum) -> ObservedInformation:
     r"""$H - \frac{1}{2 \sigma^2 k} \sum_i \mathrm{Cov}_i(g)$, g the gradients of what the
-    nodes of datum i cost, weighed as the nodes are. `given`: the problem as programs see
-    it."""
+    nodes of datum i cost, weighed as the nodes are."""
     assert problem.owner is not None
     k, n = number_of_data(problem), len(problem.y)
     functions, t = problem.pattern.functions, problem.y.shape[1]
-    gradients = np.asarray(_gradients(given, lam, w))[:n]
+    gradients = np.asarray(_gradients(found.given, found.lam, found.w))[:n]
     jets = problem.data_jets
     slots = np.asarray(slots_of(jets, n))
     matrices = np.asarray(jets.matrices)[:, :, 0].reshape(-1, jets.matrices.shape[-1])
@@ -156,9 +157,9 @@ def observed_information(
     mean = by_owner @ scores
     missing = (scores.T @ scores.multiply(share[:, None])).toarray()
     missing -= (mean.T @ mean).toarray()
-    known = np.asarray(hessian.as_matrix())
+    known = np.asarray(found.hessian.as_matrix())
     ridge = 1e-12 * np.diag(np.abs(np.diag(known)))
-    factor = _positive(known + ridge, missing / (2 * variance * k))
+    factor = _positive(known + ridge, missing / (2 * found.spread.variance * k))
     return ObservedInformation(factor, functions, t)
 
 

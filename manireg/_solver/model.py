@@ -27,6 +27,7 @@ from .derivatives import (
 from .directions import curved
 from .evaluation import at_covered, psi_at
 from .posterior import Posterior, posterior_of
+from .smoothing import Smoothing
 from .summary import Summary, data_weights_of, summary_of
 
 
@@ -111,17 +112,20 @@ class RegressionMap(eqx.Module):
         """
         return self._at(x, differential_at, curved(self.source))
 
-    def posterior(self, smoothing_known: bool = False) -> Posterior:
+    def posterior(self, smoothing: Smoothing = "auto") -> Posterior:
         """How sure the map is: covariances, regions, bands, velocities, random maps; see
         `Posterior`.
 
-        - `smoothing_known`: True: lambda as if it were known; by default it is a choice
-          with an error of its own, from the curvature of the restricted likelihood, which
-          widens regions where data are few.
+        - `smoothing`: what is not known of lambda. `"known"`: nothing. `"linear"`: its
+          error by the curvature of the restricted likelihood, the map to first order in
+          log lambda. `"grid"`: a mixture of the fits at 5 to 30 lambdas, each as likely as
+          its restricted likelihood says. `"auto"` (default): on curves the grid where the
+          curvature is too small for first order, as where few data leave open whether
+          the map bends at all; else linear.
 
         **Raises** ValueError for a map without its problem (fitted under `jit` or `vmap`,
         or stored alone)."""
-        return posterior_of(self, smoothing_known)
+        return posterior_of(self, smoothing)
 
     def _at(self, x: Numbers, function: Callable, *of_source: Any) -> Any:
         """`function` of the parts of the map, at checked points."""

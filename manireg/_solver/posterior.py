@@ -15,15 +15,11 @@ from .._programs.sizes import at_each
 from .._sources.checks import check_inputs
 from ..manifolds import SpecialOrthogonal, Sphere
 from ..manifolds._defaults.frames import tangent_frames
-from .at_minimum import at_minimum, lambda_error
+from .at_minimum import AtMinimum, at_minimum
 from .derivatives import check_curve
 from .diagnostics import diagnostics
-from .information import (
-    AbstractInformation,
-    ModelInformation,
-    observed_information,
-)
-from .jet_covariances import JetsAt, displaced, jets_at, pushed
+from .information import ModelInformation
+from .jet_covariances import JetsAt, jets_at, pushed
 from .quantities import (
     in_frame,
     motion,
@@ -34,7 +30,9 @@ from .quantities import (
 )
 from .readings import angular_velocity
 from .regions import Region, conformal_radius, quantile_radius
+from .smoothing import Mixture, Smoothing, mixture_of
 from .spread import Spread
+from .summary import Summary, summary_of
 
 DRAWS = 1000  # maps that a band is made of
 
@@ -62,11 +60,13 @@ class MotionEstimate(NamedTuple):
 
 
 class Posterior(eqx.Module):
-    r"""Of a fitted map, $w \sim N(\hat w, (2 \hat\sigma^2 / k) H^{-1})$: the likelihood is
-    $\exp(-d^2 / 2 \sigma^2)$, the prior $\exp(-k \lambda S / 2 \sigma^2)$, and H the
-    Gauss-Newton Hessian of the objective. Averaged over x, regions around the fit hold the
-    true map as often as they say (Wahba 1983, Nychka 1988): they are wider than what noise
-    alone does to the fit, by what smoothing may have taken off.
+    r"""Of a fitted map, given lambda $w \sim N(\hat w, (2 \hat\sigma^2 / k) H^{-1})$: the
+    likelihood is $\exp(-d^2 / 2 \sigma^2)$, the prior $\exp(-k \lambda S / 2 \sigma^2)$,
+    and H the Gauss-Newton Hessian of the objective. Averaged over x, regions around the
+    fit hold the true map as often as they say (Wahba 1983, Nychka 1988): they are wider
+    than what noise alone does to the fit, by what smoothing may have taken off. Deviations
+    are from the fitted map, whatever lambda they come from, and where the noise was
+    estimated their quantiles are those of Student's t.
 
     Made by `model.posterior()`.
 
@@ -77,16 +77,35 @@ class Posterior(eqx.Module):
     """
 
     model: Any
-    information: AbstractInformation
-    """H."""
-    spread: Spread
-    scale: float
-    r"""$2 \hat\sigma^2 / k$."""
+    seen: AtMinimum
+    """The map from inside: H, leverages, how the data scatter."""
+    mixture: Mixture
+    """Of posteriors given lambda."""
     standardised: Float[np.ndarray, " k"]
     """Lengths of the residuals of left-out data in standard deviations of a new datum."""
-    along_lambda: Float[np.ndarray, "KC t"] | None
-    r"""What one standard deviation of $\log \lambda$ does to the coefficients; None where
-    lambda is taken as known."""
+
+    @property
+    def spread(self) -> Spread:
+        """How the data scatter."""
+        return self.seen.spread
+
+    @property
+    def scale(self) -> float:
+        r"""$2 \hat\sigma^2 / k$; NaN of a map through all its data."""
+        return 2 * self.spread.variance / number_of_data(self.model.problem)
+
+    @property
+    def freedom(self) -> float:
+        r"""Degrees of freedom that $\hat\sigma^2$ was estimated with; infinite where it
+        was given."""
+        spread, precision = self.spread, self.model.problem.precision
+        estimated = spread.precision is None or spread.robust is not None
+        estimated |= precision.phi is not None or bool(precision.scatter)
+        return spread.dof - spread.edf if estimated else np.inf
+
+    def summary(self) -> Summary:
+        """`model.summary()`, from what has been seen."""
+        return summary_of(self.model, self.seen)
 
     def covariance(
         self, x: Numbers
@@ -106,10 +125,11 @@ class Posterior(eqx.Module):
         posterior's, by about $\sqrt{1 - m / 2p}$: it lacks what smoothing takes off.
 
         **Raises** ValueError as calling the map does, and for latent inputs."""
-        if not isinstance(self.information, ModelInformation):
+        if self.model.problem.owner is not None:
             raise ValueError("sampling_covariance: not of maps with latent inputs.")
         _, jets, frames = self._values(x)
-        covariance = self.scale * self.information.sampling(jets.rows, jets.near)
+        information = ModelInformation.of(self.seen)
+        covariance = self.scale * information.sampling(jets.rows, jets.near)
         return pushed(in_frame, self.model.target, jets, covariance, frames)[1], frames
 
     def region(
@@ -141,7 +161,7 @@ class Posterior(eqx.Module):
         centre, jets, frames = self._values(x)
         covariance = self._pushed(in_frame, jets, frames)[1]
         n = covariance.shape[1]
-        radius = quantile_radius(level, n)
+        radius = quantile_radius(level, n, self.freedom)
         if simultaneous:
             radius = self._band(jets, covariance, frames, level, key)
         if new:
@@ -198,7 +218,7 @@ class Posterior(eqx.Module):
         globe = Sphere(2)
         frames = tangent_frames(globe, poles)
         reduced = np.swapaxes(frames, 1, 2) @ covariance[:, 2:, 2:] @ frames
-        radius = quantile_radius(level, 2)
+        radius = quantile_radius(level, 2, self.freedom)
         region = Region(globe, jax.device_put(poles), reduced, frames, radius, level)
         parts = speed, deviation[:, 0], azimuth, deviation[:, 1]
         return MotionEstimate(*parts, region)
@@ -214,19 +234,16 @@ class Posterior(eqx.Module):
         return centre, jets, tangent_frames(self.model.target, np.asarray(centre))
 
     def _pushed(self, function, jets: JetsAt, *arrays):
-        basis = self.model.basis
-        covariance = self.scale * self.information.covariances(jets.rows, jets.near)
-        if self.along_lambda is not None:
-            moved = displaced(jets, basis, self.along_lambda)
-            covariance += moved[:, :, None] * moved[:, None, :]
-        return pushed(function, self.model.target, jets, covariance, *arrays)
+        moment = self.mixture.second_moment(jets, self.model.basis)
+        return pushed(function, self.model.target, jets, moment, *arrays)
 
     def _drawn(self, key, m: int) -> Float[np.ndarray, "m KC t"]:
-        found = np.sqrt(self.scale) * self.information.draws(key, m)
-        if self.along_lambda is not None:
-            steps = jax.random.normal(jax.random.fold_in(key, 1), (m, 1, 1))
-            found = found + np.asarray(steps) * self.along_lambda
-        return found
+        drawn = self.mixture.draws(key, m)
+        if np.isinf(self.freedom):
+            return drawn
+        # as uncertain as sigma is: Student's t
+        half = jax.random.gamma(jax.random.fold_in(key, 1), self.freedom / 2, (m, 1, 1))
+        return drawn * np.sqrt(self.freedom / (2 * np.asarray(half)))
 
     def _band(self, jets: JetsAt, covariance, frames, level, key) -> float:
         key = jax.random.key(0) if key is None else key
@@ -240,17 +257,9 @@ class Posterior(eqx.Module):
         return float(np.sqrt(np.quantile(largest, level)))
 
 
-def posterior_of(model: Any, smoothing_known: bool) -> Posterior:
+def posterior_of(model: Any, smoothing: Smoothing) -> Posterior:
     found = at_minimum(model)
-    problem, lam, w = model.problem, model.lam, model.coefficients
-    variance = found.spread.variance
-    given, hessian = found.given, found.hessian
-    if problem.owner is None:
-        information = ModelInformation(given, lam, w, hessian, found.solvers)
-    else:
-        information = observed_information(problem, given, lam, w, hessian, variance)
-    scale = 2 * variance / number_of_data(problem)
-    along = None if smoothing_known else lambda_error(model, found)
-    each = diagnostics(problem, found, float(np.sqrt(variance)))
-    parts = found.spread, scale, each.standardised, along
-    return Posterior(model, information, *parts)
+    problem, spread = model.problem, found.spread
+    each = diagnostics(problem, found, float(np.sqrt(spread.variance)))
+    mixture = mixture_of(problem, found, smoothing)
+    return Posterior(model, found, mixture, each.standardised)

@@ -1,9 +1,11 @@
 """How data scatter about a fitted map, and how many parameters the map has used up."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Array, Float
 
+from .._objective.objective import Energies
 from .._objective.problem import Problem, number_of_data
 from .._sources.checks import null_dimension
 from .leverages import Leverages
@@ -48,17 +50,26 @@ class Spread(NamedTuple):
             return self.robust
         return self.found if self.precision is None else 1 / self.precision
 
+    @property
+    def restricted_slope(self) -> float:
+        """Of minus twice the log of the restricted likelihood, in log lambda."""
+        precision = self.precision
+        if precision is None:
+            precision = (self.dof - self.null) / (self.rss + self.penalty)
+        return precision * self.penalty - (self.edf - self.null)
 
-def spread_of(problem: Problem, model: Any, seen: Leverages) -> Spread:
-    """`seen`: of the `scored_data`, which stand for all."""
+
+def spread_of(
+    problem: Problem, lam: Float[Array, ""], energies: Energies, seen: Leverages
+) -> Spread:
+    """Of the fit at `lam`. `seen`: of the `scored_data`, which stand for all."""
     k, n, precision = number_of_data(problem), problem.target.dim, problem.precision
     dof = k * n - unknown_directions(problem)
     edf = float(np.sum(seen.leverages))
     if problem.owner is None:
         edf *= k / len(seen.leverages)
-    energies = model.energies
     rss = k * float(energies.loss)
-    penalty = k * float(model.lam) * float(energies.energy)
+    penalty = k * float(lam) * float(energies.energy)
     null = null_dimension(problem.source, problem.energy.order) * n
     mean = None if precision.mean is None else float(precision.mean)
     robust = None if problem.misfit.squared else _robust(problem, seen, k, dof - edf)

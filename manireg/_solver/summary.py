@@ -10,7 +10,7 @@ from .._objective.arguments import on_host
 from .._objective.resolution import unresolved
 from .._objective.robust import AbstractLoss
 from .._objective.wavelengths import wavelength_of_lambda
-from .at_minimum import at_minimum, problem_of
+from .at_minimum import AtMinimum, at_minimum, problem_of
 from .diagnostics import Diagnostics, diagnostics, loss_weights
 from .minimum import is_successful
 from .spread import Spread
@@ -135,10 +135,12 @@ class Summary(NamedTuple):
         return text_of(self.rows(), self.worst_table())
 
 
-def summary_of(model: Any) -> Summary:
-    """**Raises** ValueError for a map without its problem."""
+def summary_of(model: Any, found: AtMinimum | None = None) -> Summary:
+    """`found`: what is seen at its minimum, where that is known.
+
+    **Raises** ValueError for a map without its problem."""
     problem = problem_of(model)
-    found = at_minimum(model)
+    found = at_minimum(model) if found is None else found
     spread, precision, misfit = found.spread, problem.precision, problem.misfit
     sigma = float(np.sqrt(spread.found if spread.robust is None else spread.robust))
     each = diagnostics(problem, found, sigma)

@@ -1,10 +1,11 @@
 """Cross-validation curves, and coordinates against inputs."""
 
-from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._solver.posterior import Posterior
+from .._solver.regions import quantile_radius
 from ._figure import (
     BLUE,
     COLOURS,
@@ -79,6 +80,7 @@ def coordinates(
     names: tuple[str, ...] | None = None,
     label: str | tuple[str, ...] = "input",
     level: float | None = None,
+    posterior: Posterior | None = None,
 ) -> Figure:
     r"""Each coordinate of data `y` (k, ...) and `model` against one or two inputs `x`,
     (k,) or (k, 2), a panel each: curves for one input, maps for two, with the data as
@@ -87,7 +89,8 @@ def coordinates(
     `level`, such as 0.95, for one input and a fitted map: around each curve where that
     coordinate of the map is with this probability, input by input:
     $y_a \pm z \sqrt{(U C U^\top)_{aa}}$ with covariance C and frame U of its `posterior`
-    and z the quantile of a normal variable.
+    (by default `model.posterior()`) and z the quantile of a normal variable or, where the
+    noise was estimated, Student's t.
 
     **Raises** ValueError for other than one or two inputs, and for a `level` not between
     0 and 1 or with two."""
@@ -112,7 +115,7 @@ def coordinates(
         )
         draw(panels.flat, model, x, data)
         if level is not None:
-            _bands(panels.flat, model, x, level)
+            _bands(panels.flat, posterior or model.posterior(), x, level)
         labels = (label,) if isinstance(label, str) else label
         for c, panel in enumerate(panels.flat):
             if c >= data.shape[1]:
@@ -137,13 +140,14 @@ def _curves(panels: Any, model: Any, x: np.ndarray, data: np.ndarray) -> None:
         panel.plot(x.ravel(), observed, ".", color=ORANGE, ms=3.5, mew=0)
 
 
-def _bands(panels: Any, model: Any, x: np.ndarray, level: float) -> None:
+def _bands(panels: Any, posterior: Posterior, x: np.ndarray, level: float) -> None:
     inputs = np.linspace(x.min(), x.max(), BAND)
     at = inputs.reshape(-1, *x.shape[1:])
-    curve = np.asarray(model(at)).reshape(BAND, -1)
-    covariance, frames = model.posterior().covariance(at)
+    curve = np.asarray(posterior.model(at)).reshape(BAND, -1)
+    covariance, frames = posterior.covariance(at)
     variances = np.einsum("qtn,qnm,qtm->qt", frames, covariance, frames)
-    radius = NormalDist().inv_cdf(0.5 + level / 2) * np.sqrt(np.maximum(variances, 0.0))
+    z = quantile_radius(level, 1, posterior.freedom)
+    radius = z * np.sqrt(np.maximum(variances, 0.0))
     for panel, middle, r in zip(panels, curve.T, radius.T, strict=False):
         ends = middle - r, middle + r
         panel.fill_between(inputs, *ends, color=BLUE, alpha=0.18, lw=0, zorder=1)

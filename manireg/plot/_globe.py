@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from .._solver.posterior import Posterior
 from ..datasets._tables import directions, unit
 from ._band import envelope, spread_along
 from ._figure import BLUE, GREY, ORANGE, STYLE, ArrayLike, figure, figure_of, matplotlib
@@ -191,6 +192,7 @@ def sphere_path(
     *,
     a95: ArrayLike | None = None,
     level: float | None = None,
+    posterior: Posterior | None = None,
     weights: ArrayLike | None = None,
     view: ArrayLike | None = None,
     label: str = "input",
@@ -203,10 +205,10 @@ def sphere_path(
 
     **Arguments:** `model` any callable from inputs to points, as `fit` returns; `level`
     such as 0.95: the band of the confidence regions of a fitted map (each holds the map at
-    its input with that probability), by its `posterior`; `weights` (k,) the areas of the
-    dots, relative to the largest, such as `model.data_weights`; `view` the direction
-    towards the eye, by default `view_of` data and path; `label` names the input; `ax` the
-    axes to draw in, by default a new figure.
+    its input with that probability), by its `posterior`, default `model.posterior()`;
+    `weights` (k,) the areas of the dots, relative to the largest, such as
+    `model.data_weights`; `view` the direction towards the eye, by default `view_of` data
+    and path; `label` names the input; `ax` the axes to draw in, by default a new figure.
     """
     with matplotlib().rc_context(STYLE):
         from matplotlib.cm import ScalarMappable
@@ -219,7 +221,8 @@ def sphere_path(
         outlines = None
         if level is not None:
             at = spread_along(inputs, unit(path), BAND)
-            region = model.posterior().region(at.reshape(-1, *x.shape[1:]), level)
+            posterior = posterior or model.posterior()
+            region = posterior.region(at.reshape(-1, *x.shape[1:]), level)
             outlines = np.asarray(region.outline())
             seen = np.concatenate([seen, unit(outlines[:, ::9].reshape(-1, 3))])
         view = view_of(seen) if view is None else unit(view)

@@ -131,7 +131,7 @@ def test_observed_information():
     sigma = 0.2
     model = on_line(x_sigma=0.05, sigma=sigma, scatter="none", progress=False)
     problem = model.problem
-    post = model.posterior(smoothing_known=True)
+    post = model.posterior("known")
     w = np.asarray(model.coefficients)[:, 0]
     owner, y = problem.owner, np.asarray(problem.y)[:, 0]
     rows = jets_at(model, np.asarray(problem.x), 0).as_matrix(len(w))

@@ -19,7 +19,7 @@ from scipy import stats
 from scipy.linalg import expm
 
 import manireg as mr
-from manireg._solver.at_minimum import at_minimum
+from manireg._solver.at_minimum import _along_lambda, at_minimum
 from manireg._solver.regions import Region, conformal_radius, quantile_radius
 from manireg.manifolds._defaults.frames import tangent_frames
 
@@ -57,7 +57,7 @@ def curve():
 
 def test_standard_errors(line):
     dense = Spline(X, np.ones(K), K * LAM)
-    post = line.posterior(smoothing_known=True)
+    post = line.posterior("known")
     np.testing.assert_allclose(post.spread.edf, dense.edf, rtol=1e-6)
     rss, penalty = dense.quadratic(Y)
     np.testing.assert_allclose(post.spread.rss, rss, rtol=1e-6)
@@ -77,7 +77,7 @@ def test_between_the_data(line):
     """There the prior adds to what interpolation would say."""
     both = np.sort(np.append(X, NEW))
     dense = Spline(both, np.isin(both, X).astype(float), K * LAM)
-    post = line.posterior(smoothing_known=True)
+    post = line.posterior("known")
     expected = np.diag(dense.covariance)[np.isin(both, NEW)]
     found = post.covariance(NEW)[0][:, 0, 0] / post.spread.found
     np.testing.assert_allclose(found, expected, rtol=1e-3)
@@ -89,7 +89,7 @@ def test_generalised_least_squares(name):
     model = on_line(**{name: q if name == "weights" else SIGMA})
     dense = Spline(X, q, K * LAM * np.mean(q))
     np.testing.assert_allclose(model(X)[:, 0], dense.fitted(Y), rtol=0, atol=1e-6)
-    post = model.posterior(smoothing_known=True)
+    post = model.posterior("known")
     np.testing.assert_allclose(post.spread.edf, dense.edf, rtol=1e-6)
     phi = dense.quadratic(Y)[0] / (K - dense.edf)
     variance = np.diag(dense.covariance)
@@ -119,7 +119,7 @@ def test_precisions_that_couple_two_splines(lacking):
     mean = np.mean(np.trace(P, axis1=1, axis2=2)) / 2
     dense = Spline(X, P, K * LAM * mean)
     np.testing.assert_allclose(model(X), dense.fitted(y).reshape(K, 2), atol=1e-6)
-    post = model.posterior(smoothing_known=True)
+    post = model.posterior("known")
     covariance, U = post.covariance(X)
     found = U @ covariance @ np.swapaxes(U, 1, 2)
     blocks = dense.covariance.reshape(K, 2, K, 2)
@@ -143,7 +143,7 @@ def test_velocity_of_a_line(line):
         return (C[i, i] + C[j, j] - 2 * C[i, j]) / (2 * step) ** 2
 
     expected = 2 * variance(2e-4) - variance(4e-4)
-    post = line.posterior(smoothing_known=True)
+    post = line.posterior("known")
     estimate = post.velocity(at)
     np.testing.assert_allclose(estimate.value, line.velocity(at), rtol=1e-12)
     found = estimate.covariance[:, 0, 0] / post.spread.found
@@ -155,7 +155,7 @@ def test_velocity_of_a_line(line):
 
 def test_lambda_has_an_error(line):
     """Of rank one, along the derivative of the map in log lambda."""
-    known = line.posterior(smoothing_known=True).covariance(NEW)[0]
+    known = line.posterior("known").covariance(NEW)[0]
     wider = line.posterior().covariance(NEW)[0]
     step = 1e-3
     up, down = (on_line(lam=LAM * np.exp(s))(NEW) for s in (step, -step))
@@ -176,11 +176,79 @@ def test_lambda_has_an_error(line):
     np.testing.assert_allclose(variance, 2 / bend, rtol=0.1)
 
 
+def test_traces_by_random_signs(line):
+    dense = Spline(X, np.ones(K), K * LAM)
+    found = at_minimum(line)
+    parts = found.given, found.lam, found.w, found.hessian, found.solvers
+    trace, square = _along_lambda(*parts)[2:]
+    assert float(trace) == pytest.approx(dense.edf, rel=0.1)
+    assert float(square) == pytest.approx(np.sum(dense.smoother**2), rel=0.1)
+
+
+@pytest.fixture(scope="module")
+def straight():
+    """A line with noise, whose likelihood leaves open how large lambda is."""
+    y = X + 0.1 * np.random.default_rng(3).normal(size=K)
+    return y, on_line(y, lam=30.0)
+
+
+def test_mixture_over_lambdas(straight):
+    """Shares as a dense spline's profile likelihood and the prior say, moments about the
+    fit."""
+    y, model = straight
+    post = model.posterior()
+    parts = post.mixture.parts
+    assert len(model.posterior("linear").mixture.parts) == 1 and len(parts) > 5
+    lams = np.array([float(part.information.lam) for part in parts])
+    steps = np.diff(np.log(lams))
+    np.testing.assert_allclose(steps, steps[0])
+    splines = [Spline(X, np.ones(K), K * lam) for lam in lams]
+    dense = Spline(X, np.ones(K), K * 30.0)
+    moments, deviances = [], []
+    for lam, spline in zip(lams, splines, strict=True):
+        rss, penalty = spline.quadratic(y)
+        best = (rss + penalty) / (K - 2)
+        profile = Spline(X, np.full(K, 1 / best), K * lam / best)
+        deviances.append(profile.deviance(y))
+        shift = spline.fitted(y) - dense.fitted(y)
+        variance = rss / (K - spline.edf)
+        moments.append(variance * np.diag(spline.covariance) + shift**2)
+    expected = np.exp(-0.5 * (np.array(deviances) - min(deviances))) * lams**-0.25
+    assert splines[-1].edf - 2 < 0.1 < splines[-2].edf - 2
+    expected[-1] /= 1 - np.exp(-0.25 * steps[0])  # all larger ones
+    shares = np.array([part.share for part in parts])
+    assert np.sum(shares) == pytest.approx(1)
+    np.testing.assert_allclose(shares, expected / np.sum(expected), rtol=0.05)
+    covariance = post.covariance(X)[0][:, 0, 0]
+    # the basis is not fine enough for the least lambda
+    np.testing.assert_allclose(covariance, shares @ np.array(moments), rtol=1e-2)
+
+    known = model.posterior("known").covariance(X)[0][:, 0, 0]
+    assert np.mean(covariance) > 1.5 * np.mean(known)
+    with pytest.raises(ValueError, match="smoothing: expected one of 'auto', 'known'"):
+        model.posterior("exact")
+
+
+def test_draws_from_the_mixture(straight):
+    """Their second moments about the fit: those of Student's t where they are drawn."""
+    _, model = straight
+    post = model.posterior()
+    maps = post.sample(jax.random.key(0), 2000)
+    gaps = np.stack([np.asarray(m(X[::5]) - model(X[::5]))[:, 0] for m in maps])
+    freedom = post.spread.dof - post.spread.edf
+    assert post.freedom == freedom
+    expected = post.covariance(X[::5])[0][:, 0, 0] * freedom / (freedom - 2)
+    np.testing.assert_allclose(np.mean(gaps**2, axis=0), expected, rtol=0.15)
+    radius = post.region(X).radius
+    assert radius == pytest.approx(stats.t.ppf(0.975, freedom))
+    assert post.summary().rows() == model.summary().rows()
+
+
 # Draws
 
 
 def test_draws_scatter_as_the_covariance_says(curve):
-    post = curve.posterior(smoothing_known=True)
+    post = curve.posterior("known")
     at = TIMES[3:-3:6]
     maps = post.sample(jax.random.key(0), 400)
     assert len(maps) == 400 and maps[0].problem is None
@@ -245,7 +313,7 @@ def test_region_by_hand():
 
 def test_contains_up_to_the_rim(curve):
     at = TIMES[::8]
-    post = curve.posterior(smoothing_known=True)
+    post = curve.posterior("known")
     region = post.region(at, 0.8)
     angle = 0.7 + np.arange(len(at))
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -268,7 +336,7 @@ def test_contains_up_to_the_rim(curve):
 
 def test_band(curve):
     """Wider than at one point, but less than were all points independent."""
-    post = curve.posterior(smoothing_known=True)
+    post = curve.posterior("known")
     at = TIMES[::2]
     band, point = post.region(at, simultaneous=True), post.region(at)
     bonferroni = np.sqrt(stats.chi2.isf(0.05 / len(at), 2))
@@ -281,7 +349,7 @@ def test_band(curve):
 def test_new_data(line):
     """As many of the data, and one more, lie within the radius in the fits without
     them."""
-    post = line.posterior(smoothing_known=True)
+    post = line.posterior("known")
     dense = Spline(X, np.ones(K), K * LAM)
     own, variance = np.diag(dense.smoother), post.spread.found
     r = np.abs(Y - dense.fitted(Y)) / np.sqrt(variance * (1 - own))
@@ -292,7 +360,7 @@ def test_new_data(line):
         path = post.covariance(NEW)[0]
         np.testing.assert_allclose(region.covariance, path + variance)
     beyond = post.region(NEW, 0.99, new=0.3)
-    assert beyond.radius == pytest.approx(stats.norm.isf(0.005))
+    assert beyond.radius == pytest.approx(stats.t.isf(0.005, post.freedom))
     np.testing.assert_allclose(beyond.covariance, path + 0.3**2)
     assert conformal_radius(0.5, np.array([3.0, 1.0, 2.0]), 9.0) == 2.0
     assert conformal_radius(0.9, np.array([3.0, 1.0, 2.0]), 9.0) == 9.0
@@ -328,7 +396,7 @@ def test_angular_velocity():
     y = np.stack([expm(g) for g in generators])
     model = mr.solve(curve_problem(mr.SpecialOrthogonal(3), y), 1e-3)
     at = TIMES[5::20]
-    post = model.posterior(smoothing_known=True)
+    post = model.posterior("known")
     space, body = (post.angular_velocity(at, axes) for axes in ("space", "body"))
     R = np.asarray(model(at))
     back = np.swapaxes(R, 1, 2)
@@ -358,7 +426,7 @@ def test_surface():
     noise = 0.05 * np.random.default_rng(0).normal(size=(60, 3))
     y = SPHERE.project(x + jnp.asarray(noise))
     model = mr.solve(mr.make_problem(SPHERE, SPHERE, x, y, centres=60), 1e-3)
-    post = model.posterior(smoothing_known=True)
+    post = model.posterior("known")
     at = np.asarray(SPHERE.random_points(jax.random.key(1), 5))
     covariance, U = post.covariance(at)
     found = at_minimum(model)
