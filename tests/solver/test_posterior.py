@@ -225,8 +225,11 @@ def test_mixture_over_lambdas(straight):
 
     known = model.posterior("known").covariance(X)[0][:, 0, 0]
     assert np.mean(covariance) > 1.5 * np.mean(known)
+
+
+def test_unknown_smoothing(line, unchecked):
     with pytest.raises(ValueError, match="smoothing: expected one of 'auto', 'known'"):
-        model.posterior("exact")
+        line.posterior("exact")  # type: ignore[arg-type]
 
 
 def test_draws_from_the_mixture(straight):
