@@ -10,7 +10,7 @@ from .. import plot
 from .._solver.regions import Region
 from ..datasets import PalaeomagneticPoles
 from ..plot._figure import STYLE, matplotlib
-from ..plot._globe import Globe, view_of
+from ..plot._globe import pale, view_of
 
 DARK = "#33373c"
 
@@ -37,7 +37,7 @@ def draw_poles(
         drawn = plot.globe(
             plot.figure(4.6, 4.0).add_subplot(), view=view_of(path), graticule=30
         )
-        _band(drawn, region, colour.to_rgba(ages))
+        drawn.band(np.asarray(region.outline()), colour.to_rgba(ages))
         faint = {"s": 12, "linewidths": 0, "edgecolors": "none"}
         drawn.points(
             poles.directions, colour.to_rgba(poles.ages), zorder=3, alpha=0.5, **faint
@@ -51,8 +51,8 @@ def draw_poles(
         )
         bar.set_label("age (million years)")
         bar.outline.set_linewidth(0.4)
-        middle: Any = colour.to_rgba(ages)[len(ages) // 2]
-        line, band = to_hex(middle), to_hex(_pale(middle))
+        middle = np.asarray(colour.to_rgba(ages))[[len(ages) // 2]]
+        line, band = to_hex(middle[0]), to_hex(pale(middle, 0.35)[0])
         region_of = f"where it is, {100 * region.level:g} %"
         marks = [
             Line2D([], [], color=line, lw=2.2, label="path"),
@@ -65,28 +65,3 @@ def draw_poles(
         row = {"ncols": 4, "columnspacing": 1.2, "handlelength": 1.6}
         drawn.figure.legend(handles=marks, loc="outside lower center", **row)
         plot.save(drawn.figure, out)
-
-
-def _band(drawn: Globe, region: Region, colours: np.ndarray) -> None:
-    """The regions, one over the other, opaque and without an edge: their union. What of
-    one lies beyond the rim of the globe is drawn on it."""
-    from matplotlib.collections import PolyCollection
-
-    outlines = np.asarray(region.outline())
-    place, near = drawn.flatten(outlines)
-    far = np.linalg.norm(place, axis=-1, keepdims=True)
-    rim = place / np.maximum(far, 1e-9)
-    for front, order in ((True, 1.8), (False, 0.5)):
-        own = near if front else ~near
-        some = own.any(axis=1)
-        shapes = np.where(own[..., None], place, rim)[some]
-        shade = _pale(colours[some], 0.35 if front else 0.12)
-        drawn.axes.add_collection(
-            PolyCollection(list(shapes), facecolors=shade, linewidths=0, zorder=order),
-            autolim=False,
-        )
-
-
-def _pale(colour: np.ndarray, share: float = 0.35) -> Any:
-    """Mixed with white, opaque."""
-    return np.concatenate([1 - share * (1 - colour[..., :3]), colour[..., 3:]], axis=-1)

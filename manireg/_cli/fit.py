@@ -11,9 +11,18 @@ import typer
 import manireg as mr
 
 from .._selection.chosen_fit import chosen_fit
-from ..datasets._text_tables import TextTable, read_text_table
+from ..datasets._text_tables import read_text_table
+from .arguments import (
+    check_not_read,
+    check_once,
+    inputs_of,
+    number_of,
+    order_of,
+    outputs_of,
+    weights_of,
+)
 from .axes import axis_of, lambda_unit
-from .columns import Missing, complete, find, numbers, refuse, split_names
+from .columns import Missing, complete, find
 from .errors import check_written, clean_errors
 from .noise import (
     A95,
@@ -156,13 +165,13 @@ def fit(
         picture = None if picture is None else picture.expanduser()
         check_written(picture, out)
         check_level(level)
-        _check_not_read(out, data, Path(predict))
+        check_not_read(out, data, Path(predict))
         table = read_text_table(data)
         noise = NoiseColumns(sigma, a95, kappa, x_sigma, x_min, x_max).found(table)
-        option, outputs = _outputs(output, lat_lon)
-        inputs = [find(table, name, "--input") for name in _inputs(input, noise)]
+        option, outputs = outputs_of(output, lat_lon)
+        inputs = [find(table, name, "--input") for name in inputs_of(input, noise)]
         outputs = [find(table, name, option) for name in outputs]
-        _check_once(inputs + outputs)
+        check_once(inputs + outputs)
         weight = [] if weights is None else [find(table, weights, "--weights")]
         names = [*inputs, *outputs, *weight, *noise.names]
         table = complete(table, names, missing)
@@ -172,7 +181,7 @@ def fit(
         axes = [axis_of(name, [table, *places]) for name in inputs]
         x = np.stack([axis.floats(table) for axis in axes], axis=-1)
         there = read_target(target, table, outputs, lat_lon is not None)
-        w = _weights(table, weight[0]) if weight else None
+        w = weights_of(table, weight[0]) if weight else None
         queries, texts = rows(places[0], axes) if places else grid(predict, x, axes)
         for axis, values in zip(axes, x.T, strict=True):
             if np.ptp(values) == 0:
@@ -191,10 +200,10 @@ def fit(
         shape = (-1,) if one else (-1, len(inputs))
         x, queries = x.reshape(shape), queries.reshape(shape)
 
-        start, asked_order = time.perf_counter(), _order(order)
+        start, asked_order = time.perf_counter(), order_of(order)
         given = {"weights": w, "order": asked_order, "loss": loss_of(loss)}
         given |= noise.of_outputs(table, there)
-        value = None if lam == "auto" else _number(lam)
+        value = None if lam == "auto" else number_of(lam)
         choice: dict[str, Any] = {"criterion": criterion, **of_inputs}
         if folds is not None:
             choice |= {"folds": min(folds, len(x)), "key": jax.random.key(seed)}
@@ -221,59 +230,3 @@ def fit(
         unit = lambda_unit(axes, p)
         known = summary, model, cv, there.degrees, seconds, written, more
         report(*known, unit, p, criterion)
-
-
-def _check_not_read(out: Path, *tables: Path) -> None:
-    for table in tables:
-        table = table.expanduser()
-        if out.exists() and table.exists() and out.samefile(table):
-            raise ValueError(f"--out {out} is a table to read; name another file.")
-
-
-def _outputs(output: str | None, lat_lon: str | None) -> tuple[str, list[str]]:
-    if output is not None and lat_lon is None:
-        return "--output", split_names(output)
-    if lat_lon is not None and output is None:
-        return "--lat-lon", split_names(lat_lon)
-    raise ValueError("Give either --output or --lat-lon, the output columns.")
-
-
-def _inputs(input: str | None, noise: NoiseColumns) -> list[str]:
-    if input is not None:
-        return split_names(input)
-    if noise.x_min is not None:
-        return []
-    raise ValueError("Give --input, the input column, or --x-min and --x-max.")
-
-
-def _check_once(names: list[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"--input, --output: column `{name}` is named twice.")
-
-
-def _weights(table: TextTable, name: str) -> np.ndarray:
-    w = numbers(table, [name], "--weights")[:, 0]
-    cure = "Remove the row or give a small weight"
-    refuse(table, name, w <= 0, "weights must be positive", cure)
-    return w
-
-
-def _number(lam: str) -> float:
-    try:
-        return float(lam)
-    except ValueError:
-        raise ValueError(f"--lam is a number or auto, found {lam!r}.") from None
-
-
-def _order(order: str) -> Any:
-    """A number, several, or `auto`."""
-    if order == "auto":
-        return order
-    try:
-        several = tuple(int(p) for p in order.split(","))
-    except ValueError:
-        raise ValueError(
-            f"--order is 1, 2, 3 or 4, several with commas, or auto, found {order!r}."
-        ) from None
-    return several[0] if len(several) == 1 else several

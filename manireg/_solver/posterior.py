@@ -2,7 +2,7 @@
 10.4)."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,6 +18,7 @@ from ..manifolds._defaults.frames import tangent_frames
 from .at_minimum import AtMinimum, at_minimum
 from .derivatives import check_curve
 from .diagnostics import diagnostics
+from .estimates import Estimate, MotionEstimate
 from .information import ModelInformation
 from .jet_covariances import JetsAt, jets_at, pushed
 from .quantities import (
@@ -35,28 +36,6 @@ from .spread import Spread
 from .summary import Summary, summary_of
 
 DRAWS = 1000  # maps that a band is made of
-
-
-class Estimate(NamedTuple):
-    """A quantity at each of q points, with its covariance."""
-
-    value: Float[np.ndarray, "q ..."]
-    covariance: Float[np.ndarray, "q d d"]
-    """Of the d coordinates in `frame`, or of the value as it is."""
-    frame: Float[np.ndarray, "q t d"] | None = None
-
-
-class MotionEstimate(NamedTuple):
-    """Of a point that moves on the sphere; see `sphere_motion`."""
-
-    speed: Float[np.ndarray, " q"]
-    """Radians per unit of x."""
-    speed_deviation: Float[np.ndarray, " q"]
-    """Standard deviation, likewise."""
-    azimuth: Float[np.ndarray, " q"]
-    """Degrees from north, clockwise."""
-    azimuth_deviation: Float[np.ndarray, " q"]
-    euler_pole: Region
 
 
 class Posterior(eqx.Module):

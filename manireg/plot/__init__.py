@@ -11,8 +11,8 @@ from ._figure import figure as figure, save as save
 from ._globe import (
     Globe as Globe,
     globe as globe,
-    sphere_path as sphere_path,
     view_of as view_of,
 )
 from ._residuals import residuals as residuals
+from ._sphere_path import sphere_path as sphere_path
 from ._surface import registration as registration, surface as surface

@@ -19,13 +19,15 @@ def spread_along(
 
 def envelope(turned: Float[np.ndarray, "q m 3"]) -> list[Float[np.ndarray, "_ 2"]]:
     """Of the rims of regions, in coordinates right, up, towards the eye: for each two that
-    follow each other the hull of both, as far as it is on the near side."""
+    follow each other the hull of both, as far as it is on the near side; no points where
+    it is not."""
     pieces = []
     for pair in zip(turned[:-1], turned[1:], strict=True):
+        piece = np.zeros((0, 2))
         if max(rim[:, 2].max() for rim in pair) > 0:
             piece = _cut(_hull(np.concatenate(pair)))
-            if len(piece) > 2:
-                pieces.append(np.append(piece, piece[:1], axis=0))
+        closed = len(piece) > 2
+        pieces.append(np.append(piece, piece[:1], axis=0) if closed else piece[:0])
     return pieces
 
 

@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .._solver.posterior import Posterior
 from ..datasets._tables import directions, unit
-from ._band import envelope, spread_along
-from ._figure import BLUE, GREY, ORANGE, STYLE, ArrayLike, figure, figure_of, matplotlib
+from ._band import envelope
+from ._figure import BLUE, GREY, ORANGE, ArrayLike, figure, figure_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,8 +16,6 @@ else:
     Axes = Figure = Any
 
 DOT = 9.0  # area of a datum, in square points
-LEAST_DOT = 1.5
-BAND = 200  # regions along a path
 
 
 class Globe(NamedTuple):
@@ -82,18 +79,20 @@ class Globe(NamedTuple):
         self, outlines: Float[np.ndarray, "q m 3"], colours: Any = BLUE, **style: Any
     ) -> None:
         """The union of regions along a path, given by their rims in the order of the path,
-        and of what lies between two of them; pale on the far side."""
-        from matplotlib.patches import PathPatch
-        from matplotlib.path import Path
+        and of what lies between two of them, in one colour or one a region, mixed with
+        white; paler on the far side."""
+        from matplotlib.collections import PolyCollection
 
-        for side, alpha, order in ((1.0, 0.2, 2.5), (-1.0, 0.08, 0.8)):
+        colours = _colours(colours, len(outlines))
+        for side, share, order in ((1.0, 0.35, 2.5), (-1.0, 0.12, 0.8)):
             turn = self.turn * [[1.0], [1.0], [side]]
-            pieces = [Path(p, closed=True) for p in envelope(unit(outlines) @ turn.T)]
-            if pieces:
-                # one path of them all: where they overlap, it is filled once
-                options = {"fc": colours, "lw": 0, "alpha": alpha, "zorder": order}
-                whole = Path.make_compound_path(*pieces)
-                self.axes.add_patch(PathPatch(whole, **(options | style)))
+            pieces = envelope(unit(outlines) @ turn.T)
+            seen = [i for i, piece in enumerate(pieces) if len(piece)]
+            # opaque: they overlap
+            options = {"facecolors": pale(colours[seen], share), "linewidths": 0}
+            options |= {"zorder": order} | style
+            band = PolyCollection([pieces[i] for i in seen], **options)
+            self.axes.add_collection(band, autolim=False)
 
     def circles(
         self, centres: ArrayLike, radii: ArrayLike, colours: Any = GREY, **style: Any
@@ -185,76 +184,6 @@ def view_of(points: ArrayLike) -> Float[np.ndarray, "3"]:
     return candidates[np.argmax(score.mean(1))]
 
 
-def sphere_path(
-    model: Any,
-    x: ArrayLike,
-    y: ArrayLike,
-    *,
-    a95: ArrayLike | None = None,
-    level: float | None = None,
-    posterior: Posterior | None = None,
-    weights: ArrayLike | None = None,
-    view: ArrayLike | None = None,
-    label: str = "input",
-    ax: Axes | None = None,
-) -> Figure:
-    """A curve on the sphere S^2: data `y` (k, 3) at scalar inputs `x` (k,), the path of
-    `model` between the first and the last, both coloured by the input, and confidence
-    circles of radius `a95` (k,) in degrees where it is given. What fills only a small
-    part of the sphere is enlarged.
-
-    **Arguments:** `model` any callable from inputs to points, as `fit` returns; `level`
-    such as 0.95: the band of the confidence regions of a fitted map (each holds the map at
-    its input with that probability), by its `posterior`, default `model.posterior()`;
-    `weights` (k,) the areas of the dots, relative to the largest, such as
-    `model.data_weights`; `view` the direction towards the eye, by default `view_of` data
-    and path; `label` names the input; `ax` the axes to draw in, by default a new figure.
-    """
-    with matplotlib().rc_context(STYLE):
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import ListedColormap, Normalize
-
-        x, y = np.asarray(x), unit(y)
-        inputs = np.linspace(x.min(), x.max(), 1500)
-        path = np.asarray(model(inputs.reshape(-1, *x.shape[1:])))
-        seen = np.concatenate([unit(path[::10]), y])
-        outlines = None
-        if level is not None:
-            at = spread_along(inputs, unit(path), BAND)
-            posterior = posterior or model.posterior()
-            region = posterior.region(at.reshape(-1, *x.shape[1:]), level)
-            outlines = np.asarray(region.outline())
-            seen = np.concatenate([seen, unit(outlines[:, ::9].reshape(-1, 3))])
-        view = view_of(seen) if view is None else unit(view)
-        off_centre = float(np.arccos(np.clip((seen @ view).min(), -1, 1)))
-        off_centre += 0.0 if a95 is None else float(np.radians(np.max(np.asarray(a95))))
-        radius = 1.1 * np.sin(off_centre) if off_centre < 0.5 else 1.0
-        ax = figure(3.6, 3.0).add_subplot() if ax is None else ax
-        drawn = globe(ax, view=view, radius=radius)
-        dark = ListedColormap(matplotlib().colormaps["viridis"](range(236)))
-        colour = ScalarMappable(Normalize(x.min(), x.max()), dark)
-        if a95 is not None:
-            drawn.circles(y, a95, colour.to_rgba(x.ravel()))
-        if outlines is not None:
-            drawn.band(outlines, GREY)
-        drawn.path(path, colour.to_rgba(inputs))
-        sizes = DOT * np.ones(len(y)) if weights is None else _sizes(weights, len(y))
-        drawn.points(y, colour.to_rgba(x.ravel()), sizes)
-        bar = drawn.figure.colorbar(colour, ax=ax, shrink=0.7, aspect=25, pad=0.03)
-        bar.set_label(label)
-        bar.outline.set_linewidth(0.4)
-        return drawn.figure
-
-
-def _sizes(weights: ArrayLike, k: int) -> np.ndarray:
-    weights = np.asarray(weights, float)
-    if weights.shape != (k,):
-        raise ValueError(
-            f"weights: expected shape ({k},), one for each datum, found {weights.shape}."
-        )
-    return np.maximum(DOT * weights / np.max(weights), LEAST_DOT)
-
-
 def _turn(view: np.ndarray) -> np.ndarray:
     """Rotation whose rows are right, up and `view`, with the z axis upwards."""
     up = (
@@ -268,3 +197,8 @@ def _colours(colours: Any, n: int) -> np.ndarray:
     from matplotlib.colors import to_rgba_array
 
     return np.broadcast_to(to_rgba_array(colours), (n, 4))
+
+
+def pale(colours: Float[np.ndarray, "n 4"], share: float) -> Float[np.ndarray, "n 4"]:
+    """A `share` of them, the rest white; as opaque as they are."""
+    return np.concatenate([1 - share * (1 - colours[:, :3]), colours[:, 3:]], axis=1)
