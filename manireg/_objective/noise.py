@@ -28,6 +28,8 @@ class Precision(eqx.Module):
     log_densities: tuple[float, float] | None = None
     """Of left-out data, mean per direction: with a factor phi on the variances given, and
     with the scatter added."""
+    estimated: bool = False
+    """Whether the mean is from the data: with `scatter` in it, or times phi."""
 
     @property
     def level(self) -> Float[Array, " k"]:
@@ -55,7 +57,9 @@ def precision_of(
     if noise.axes is not None:
         roots = np.sqrt(relative)[:, :, None]
         relative = roots * np.swapaxes(np.asarray(noise.axes), 1, 2)
-    return Precision(jax.device_put(relative), as_scalar(mean), scatter)
+    return Precision(
+        jax.device_put(relative), as_scalar(mean), scatter, estimated=scatter > 0
+    )
 
 
 def misfit_of(precision: Precision, loss: AbstractLoss) -> AbstractMisfit:

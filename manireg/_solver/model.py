@@ -116,12 +116,12 @@ class RegressionMap(eqx.Module):
         """How sure the map is: covariances, regions, bands, velocities, random maps; see
         `Posterior`.
 
-        - `smoothing`: what is not known of lambda. `"known"`: nothing. `"linear"`: its
-          error by the curvature of the restricted likelihood, the map to first order in
-          log lambda. `"grid"`: a mixture of the fits at 5 to 30 lambdas, each as likely as
-          its restricted likelihood says. `"auto"` (default): on curves the grid where the
-          curvature is too small for first order, as where few data leave open whether
-          the map bends at all; else linear.
+        - `smoothing`: what is not known of lambda. `"known"`: nothing, as of one that you
+          gave for reasons. `"linear"`: its error by the curvature of the restricted
+          likelihood, the map to first order in log lambda. `"grid"`: a mixture of the fits
+          at 5 to 30 lambdas, each as likely as its restricted likelihood says. `"auto"`
+          (default): on curves the grid where the curvature is too small for first order,
+          as where few data leave open whether the map bends at all; else linear.
 
         **Raises** ValueError for a map without its problem (fitted under `jit` or `vmap`,
         or stored alone)."""

@@ -43,7 +43,8 @@ class Posterior(eqx.Module):
     likelihood is $\exp(-d^2 / 2 \sigma^2)$, the prior $\exp(-k \lambda S / 2 \sigma^2)$,
     and H the Gauss-Newton Hessian of the objective. Averaged over x, regions around the
     fit hold the true map as often as they say (Wahba 1983, Nychka 1988): they are wider
-    than what noise alone does to the fit, by what smoothing may have taken off. Deviations
+    than what noise alone does to the fit, by what smoothing may have taken off. (Measured
+    on curves: with the exact Hessian semi-axes are the same to 0.6 %.) Deviations
     are from the fitted map, whatever lambda they come from, and where the noise was
     estimated their quantiles are those of Student's t.
 
@@ -78,9 +79,8 @@ class Posterior(eqx.Module):
         r"""Degrees of freedom that $\hat\sigma^2$ was estimated with; infinite where it
         was given."""
         spread, precision = self.spread, self.model.problem.precision
-        estimated = spread.precision is None or spread.robust is not None
-        estimated |= precision.phi is not None or bool(precision.scatter)
-        return spread.dof - spread.edf if estimated else np.inf
+        given = spread.precision is not None and spread.robust is None
+        return np.inf if given and not precision.estimated else spread.dof - spread.edf
 
     def summary(self) -> Summary:
         """`model.summary()`, from what has been seen."""

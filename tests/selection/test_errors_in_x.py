@@ -156,7 +156,8 @@ def test_observed_information():
     whole = np.asarray(at_minimum(model).hessian.as_matrix())
     complete = (rows.T @ (rows.multiply(shares[:, None]))).toarray() / sigma**2
     prior_part = whole / post.scale - complete
-    L = np.tril(post.information.factor)
+    (only,) = post.mixture.parts
+    L = np.tril(only.information.factor)
     information = L @ L.T / post.scale
     rng, basis = np.random.default_rng(0), model.basis
     centres = np.asarray(basis.centres)[:, 0]

@@ -73,7 +73,7 @@ def test_kinds_of_scatter():
         np.testing.assert_allclose(precision.phi, phi, rtol=1e-4)
         assert precision.scatter == 0
         np.testing.assert_allclose(precision.mean, mean / factor, rtol=1e-4)
-        variance = model.posterior(True).covariance(X)[0][:, 0, 0]
+        variance = model.posterior("known").covariance(X)[0][:, 0, 0]
         expected = factor * np.diag(dense.covariance)
         np.testing.assert_allclose(variance, expected, rtol=1e-3)
     summary = with_factor.summary()
@@ -231,4 +231,4 @@ def test_sliding():
     plain = fit(shift)
     off = lambda model: np.abs(np.asarray(model(TIMES) - still(TIMES))).max()
     assert off(slid) < 2e-3 and off(plain) > 0.1
-    assert slid.posterior(True).spread.dof == 2 * len(x) - second.sum()
+    assert slid.posterior("known").spread.dof == 2 * len(x) - second.sum()
