@@ -11,7 +11,7 @@ from .._discretisation.domain import Domain, discretise, with_second_forms
 from .._discretisation.polarisation import components, jets_along
 from .._input.precision import check_x64
 from .._source import AbstractSource
-from .._sources.checks import check_known
+from .._sources.orders import check_known
 from ..manifolds import AbstractManifold
 from ..manifolds._defaults.covariant_derivative import derivatives_along
 from ..manifolds._defaults.frames import tangent_frames

@@ -18,7 +18,7 @@ from .._objective.terms import weight_of
 from .._programs.sizes import at_each
 from .._solver.at_minimum import AtMinimum, at_minimum
 from .._solver.model import RegressionMap
-from .._sources.checks import least_inputs
+from .._sources.orders import least_inputs
 
 Scatter = Literal["additive", "factor", "none"]
 Again = Callable[[Problem, RegressionMap], RegressionMap]  # a fit near a map

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from .._objective.objective import Energies
 from .._objective.problem import Problem, number_of_data
-from .._sources.checks import null_dimension
+from .._sources.orders import null_dimension
 from .leverages import Leverages
 
 
