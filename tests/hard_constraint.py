@@ -12,7 +12,8 @@ from scipy.sparse.linalg import spsolve
 from manireg._input.numbers import Numbers
 from manireg._input.precision import check_x64
 from manireg._source import AbstractSource
-from manireg._sources.checks import check_data, check_lam
+from manireg._sources.checks import check_lam
+from manireg._sources.data import check_data
 from manireg._sources.sources import Box, Interval
 from manireg.baselines._inputs import only_for, predicted
 from manireg.baselines._projected_thin_plate import projected_thin_plate

@@ -12,7 +12,7 @@ from .._discretisation.sampling import sample
 from .._input.numbers import Numbers
 from .._input.precision import as_scalar, check_x64
 from .._source import AbstractSource
-from .._sources.checks import check_data
+from .._sources.data import check_data
 from .._sources.noise import check_noise
 from .._sources.orders import check_order, check_tension
 from ..manifolds import AbstractManifold

@@ -9,7 +9,7 @@ from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._objective.make_problem import make_problem
 from .._objective.problem import Problem
-from .._sources.checks import check_distinct
+from .._sources.data import check_distinct
 from .._sources.orders import least_inputs
 from ..manifolds import AbstractManifold
 

@@ -7,7 +7,7 @@ from typing import Any
 from .._input.numbers import Numbers
 from .._objective.problem import Problem
 from .._solver.minimum import is_successful
-from .._sources.checks import TooFewInputs
+from .._sources.data import TooFewInputs
 from .._sources.orders import highest_order, least_order
 from .choice import CrossValidation
 from .given import problem_and_lams

@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._source import AbstractSource
-from .._sources.checks import check_data, check_source
+from .._sources.checks import check_source
+from .._sources.data import check_data
 from ..manifolds import AbstractManifold
 from ._inputs import only_for, predicted
 

@@ -12,7 +12,8 @@ from .._selection.choice import evaluated
 from .._selection.folds import held_out_error, training_sets
 from .._selection.lambda_grid import GRID
 from .._source import AbstractSource
-from .._sources.checks import check_data, check_grid, check_positive
+from .._sources.checks import check_grid, check_positive
+from .._sources.data import check_data
 from ..manifolds import AbstractManifold
 from ._frechet import frechet_mean
 from ._inputs import check_choice, predicted
