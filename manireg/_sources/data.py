@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._input.numbers import as_numbers
+from .._input.shown import shown
 from .._source import AbstractSource
 from ..manifolds import AbstractManifold
 from .checks import check_points, check_source, check_target, projected
