@@ -45,8 +45,7 @@ class Posterior(eqx.Module):
     fit hold the true map as often as they say (Wahba 1983, Nychka 1988): they are wider
     than what noise alone does to the fit, by what smoothing may have taken off. (Measured
     on curves: with the exact Hessian semi-axes are the same to 0.6 %.) Deviations
-    are from the fitted map, whatever lambda they come from, and where the noise was
-    estimated their quantiles are those of Student's t.
+    are from the fitted map, whatever lambda they come from.
 
     Made by `model.posterior()`.
 
@@ -73,14 +72,6 @@ class Posterior(eqx.Module):
     def scale(self) -> float:
         r"""$2 \hat\sigma^2 / k$; NaN of a map through all its data."""
         return 2 * self.spread.variance / number_of_data(self.model.problem)
-
-    @property
-    def freedom(self) -> float:
-        r"""Degrees of freedom that $\hat\sigma^2$ was estimated with; infinite where it
-        was given."""
-        spread, precision = self.spread, self.model.problem.precision
-        given = spread.precision is not None and spread.robust is None
-        return np.inf if given and not precision.estimated else spread.dof - spread.edf
 
     def summary(self) -> Summary:
         """`model.summary()`, from what has been seen."""
@@ -140,7 +131,7 @@ class Posterior(eqx.Module):
         centre, jets, frames = self._values(x)
         covariance = self._pushed(in_frame, jets, frames)[1]
         n = covariance.shape[1]
-        radius = quantile_radius(level, n, self.freedom)
+        radius = quantile_radius(level, n)
         if simultaneous:
             radius = self._band(jets, covariance, frames, level, key)
         if new:
@@ -153,7 +144,7 @@ class Posterior(eqx.Module):
         """`m` maps drawn at random, each a `RegressionMap`."""
         alone = dataclasses.replace(self.model, problem=None)
         w = np.asarray(self.model.coefficients)
-        drawn = jax.device_put([w + d for d in self._drawn(key, m)])
+        drawn = jax.device_put([w + d for d in self.mixture.draws(key, m)])
         return [dataclasses.replace(alone, coefficients=d) for d in drawn]
 
     def velocity(self, x: Numbers) -> Estimate:
@@ -197,7 +188,7 @@ class Posterior(eqx.Module):
         globe = Sphere(2)
         frames = tangent_frames(globe, poles)
         reduced = np.swapaxes(frames, 1, 2) @ covariance[:, 2:, 2:] @ frames
-        radius = quantile_radius(level, 2, self.freedom)
+        radius = quantile_radius(level, 2)
         region = Region(globe, jax.device_put(poles), reduced, frames, radius, level)
         parts = speed, deviation[:, 0], azimuth, deviation[:, 1]
         return MotionEstimate(*parts, region)
@@ -216,17 +207,9 @@ class Posterior(eqx.Module):
         moment = self.mixture.second_moment(jets, self.model.basis)
         return pushed(function, self.model.target, jets, moment, *arrays)
 
-    def _drawn(self, key, m: int) -> Float[np.ndarray, "m KC t"]:
-        drawn = self.mixture.draws(key, m)
-        if np.isinf(self.freedom):
-            return drawn
-        # as uncertain as sigma is: Student's t
-        half = jax.random.gamma(jax.random.fold_in(key, 1), self.freedom / 2, (m, 1, 1))
-        return drawn * np.sqrt(self.freedom / (2 * np.asarray(half)))
-
     def _band(self, jets: JetsAt, covariance, frames, level, key) -> float:
         key = jax.random.key(0) if key is None else key
-        drawn = self._drawn(key, DRAWS)
+        drawn = self.mixture.draws(key, DRAWS)
         size, t = drawn.shape[1:]
         moved = jets.as_matrix(size) @ np.moveaxis(drawn, 0, 2).reshape(size, -1)
         slopes = at_each(slope, self.model.target, jets.psi[:, 0], frames)
