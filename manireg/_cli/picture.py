@@ -55,7 +55,7 @@ def _angles(model, posterior, x, there: Target, label: str, share: float | None)
     picture = plot.coordinates(angle, x, data, names=(name,), label=label)
     if share is not None:
         error = uncertainty(posterior, TargetName.circle, there, inputs, 100 * share)
-        half = quantile_radius(share, 1, posterior.freedom) * error[1][:, 0]
+        half = quantile_radius(share, 1) * error[1][:, 0]
         panel = picture.axes[0]
         panel.fill_between(inputs, fitted - half, fitted + half, alpha=0.25, lw=0)
     return picture

@@ -28,8 +28,6 @@ class Precision(eqx.Module):
     log_densities: tuple[float, float] | None = None
     """Of left-out data, mean per direction: with a factor phi on the variances given, and
     with the scatter added."""
-    estimated: bool = False
-    """Whether the mean is from the data: with `scatter` in it, or times phi."""
 
     @property
     def level(self) -> Float[Array, " k"]:

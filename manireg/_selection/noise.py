@@ -104,7 +104,7 @@ def scaled(problem: Problem, found: AtMinimum) -> Problem:
     assert precision.mean is not None
     phi = found.spread.found * float(precision.mean)
     mean = as_scalar(float(precision.mean) / phi)
-    precision = dataclasses.replace(precision, mean=mean, phi=phi, estimated=True)
+    precision = dataclasses.replace(precision, mean=mean, phi=phi)
     return eqx.tree_at(lambda p: p.precision, problem, precision)
 
 
@@ -189,7 +189,7 @@ def _told(
     precision = dataclasses.replace(precision, phi=phi)
     if scatter == "factor":
         mean = as_scalar(float(precision.mean) / phi)  # type: ignore[arg-type]
-        precision = dataclasses.replace(precision, mean=mean, estimated=True)
+        precision = dataclasses.replace(precision, mean=mean)
     densities = _log_density(first, phi), _log_density(last, 1.0)
     precision = dataclasses.replace(precision, log_densities=densities)
     problem = eqx.tree_at(lambda p: p.precision, problem, precision)

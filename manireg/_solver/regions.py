@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.stats import chi2, f
+from scipy.stats import chi2
 
 from .._algebra.small import solve_symmetric
 from .._input.numbers import Numbers
@@ -26,7 +26,7 @@ class Region(eqx.Module):
     frame: Float[np.ndarray, "q t n"]
     """U, in flattened ambient coordinates."""
     radius: float
-    """r, of a Gaussian, of Student's t, or of a band."""
+    """r: the root of a quantile of chi-squared with n degrees of freedom, or of a band."""
     level: float
     """Of confidence, such as 0.95."""
 
@@ -88,16 +88,10 @@ class Region(eqx.Module):
         return np.linalg.eigh(self.covariance)
 
 
-def quantile_radius(level: float, n: int, freedom: float = math.inf) -> float:
-    r"""Of a Gaussian in n dimensions, or where its scale was estimated with so many
-    degrees of `freedom`, of Student's t: $\sqrt{n F_{n, \nu}}$.
-
-    **Raises** ValueError for a level not between 0 and 1."""
+def quantile_radius(level: float, n: int) -> float:
     if not 0 < level < 1:
         raise ValueError(f"level: must lie between 0 and 1, found {level}.")
-    if math.isinf(freedom):
-        return math.sqrt(chi2.ppf(level, n))
-    return math.sqrt(n * f.ppf(level, n, freedom))
+    return math.sqrt(chi2.ppf(level, n))
 
 
 def conformal_radius(

@@ -89,8 +89,7 @@ def coordinates(
     `level`, such as 0.95, for one input and a fitted map: around each curve where that
     coordinate of the map is with this probability, input by input:
     $y_a \pm z \sqrt{(U C U^\top)_{aa}}$ with covariance C and frame U of its `posterior`
-    (by default `model.posterior()`) and z the quantile of a normal variable or, where the
-    noise was estimated, Student's t.
+    (by default `model.posterior()`) and z the quantile of a normal variable.
 
     **Raises** ValueError for other than one or two inputs, and for a `level` not between
     0 and 1 or with two."""
@@ -146,7 +145,7 @@ def _bands(panels: Any, posterior: Posterior, x: np.ndarray, level: float) -> No
     curve = np.asarray(posterior.model(at)).reshape(BAND, -1)
     covariance, frames = posterior.covariance(at)
     variances = np.einsum("qtn,qnm,qtm->qt", frames, covariance, frames)
-    z = quantile_radius(level, 1, posterior.freedom)
+    z = quantile_radius(level, 1)
     radius = z * np.sqrt(np.maximum(variances, 0.0))
     for panel, middle, r in zip(panels, curve.T, radius.T, strict=False):
         ends = middle - r, middle + r
