@@ -55,9 +55,7 @@ def precision_of(
     if noise.axes is not None:
         roots = np.sqrt(relative)[:, :, None]
         relative = roots * np.swapaxes(np.asarray(noise.axes), 1, 2)
-    return Precision(
-        jax.device_put(relative), as_scalar(mean), scatter, estimated=scatter > 0
-    )
+    return Precision(jax.device_put(relative), as_scalar(mean), scatter)
 
 
 def misfit_of(precision: Precision, loss: AbstractLoss) -> AbstractMisfit:
