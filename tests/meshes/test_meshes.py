@@ -17,12 +17,12 @@ from ball_meshes import (
     textured_obj,
     unused_obj,
 )
+from manireg.meshes._surface import mesh_surface
 from scipy.spatial import KDTree
 
 import manireg as mr
 from manireg._discretisation.domain import centres_of, discretise
 from manireg.meshes import read_mesh, write_mesh
-from manireg.meshes._surface import mesh_surface
 
 
 @pytest.mark.parametrize("make", [textured_obj, unused_obj, materials_obj])
