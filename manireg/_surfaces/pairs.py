@@ -17,7 +17,7 @@ class Matched(NamedTuple):
     names: tuple[str, ...]
     source: Landmarks
     target: Landmarks
-    index: list[int]
+    numbers: list[int]
     """Of each pair, its number among the landmarks of the source."""
 
 

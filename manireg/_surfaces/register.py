@@ -150,8 +150,7 @@ def register(
     if ours.faces is not None:
         check_orientation(x, y, normals_at(ours.cloud, x), normals_at(onto, y))
     warn_of_suspects(x, y, pairs.names)
-    noise = {"sigma": sigma, "precision": precision}
-    noise = {name: _of_pairs(value, pairs.index) for name, value in noise.items()}
+    sigma, precision = (_of_pairs(a, pairs.numbers) for a in (sigma, precision))
     pieces = {of: ours if of == "ambient" else _one_piece(ours) for of, _ in choices}
     places = {of: _on(piece, ours, x, pairs.source) for of, piece in pieces.items()}
     padded = onto.padded(power_of_four(len(onto.points), least=FEWEST_POINTS))
@@ -164,7 +163,8 @@ def register(
             padded,
             places[of],
             y,
-            **noise,
+            sigma=sigma,
+            precision=precision,
             centres=count,
             degree=1,
             graded=True,

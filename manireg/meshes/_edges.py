@@ -18,7 +18,7 @@ class Sides(NamedTuple):
     """Whether the triangle runs along it from the lower to the higher end."""
     first: Int[np.ndarray, " e"]
     """For each edge the first of its sides,"""
-    count: Int[np.ndarray, " e"]
+    uses: Int[np.ndarray, " e"]
     """and how many there are."""
 
 
@@ -37,13 +37,13 @@ def sides_of(triangles: Int[np.ndarray, "T 3"]) -> Sides:
 
 def open_edges(sides: Sides) -> Int[np.ndarray, "e 2"]:
     """Ends of the edges with one triangle."""
-    single = sides.first[sides.count == 1]
+    single = sides.first[sides.uses == 1]
     return np.stack([sides.low[single], sides.high[single]], axis=1)
 
 
 def crowded_edges(sides: Sides) -> Int[np.ndarray, "e 2"]:
     """Ends of the edges with three triangles or more."""
-    many = sides.first[sides.count > 2]
+    many = sides.first[sides.uses > 2]
     return np.stack([sides.low[many], sides.high[many]], axis=1)
 
 
@@ -52,7 +52,7 @@ def shared_edges(
 ) -> tuple[Int[np.ndarray, " e"], Int[np.ndarray, "e 2"], Bool[np.ndarray, " e"]]:
     """Of the edges with two triangles: their first side, the triangles, and whether these
     are wound alike."""
-    one = sides.first[sides.count == 2]
+    one = sides.first[sides.uses == 2]
     pair = np.stack([sides.triangle[one], sides.triangle[one + 1]], axis=1)
     return one, pair, sides.upwards[one] != sides.upwards[one + 1]
 

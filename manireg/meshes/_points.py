@@ -21,9 +21,7 @@ from ._report import Finding, Report, found
 from ._weld import places
 
 NEIGHBOURS = 12  # of a point, which its normal is estimated from
-CLOSED = (
-    0.2  # mean cosine of normals and directions from the middle that tells the outside
-)
+CLOSED = 0.2  # mean cosine of normals and directions outwards that tells the side
 
 
 class PointsSurface(NamedTuple):

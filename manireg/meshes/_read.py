@@ -6,7 +6,7 @@ trimesh reads them. Its defaults are for rendering: they merge, split and sort v
 import io
 import os
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -69,7 +69,8 @@ def _with_trimesh(path: Path) -> trimesh.Trimesh | FilePoints:
         mesh = trimesh.load_mesh(plain(), file_type="obj", **options)
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
             return mesh
-        points = np.asarray(trimesh.load(plain(), file_type="obj").vertices)
+        cloud: Any = trimesh.load(plain(), file_type="obj")
+        points = np.asarray(getattr(cloud, "vertices", np.zeros((0, 3))), float)
         return FilePoints(points, _like(points, _numbers(text, "vn")))
     mesh = trimesh.load_mesh(path, fix_texture=False, **options)
     if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):

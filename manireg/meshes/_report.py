@@ -10,7 +10,8 @@ class Finding(NamedTuple):
 
     fault: str
     """Such as "repeated vertices"."""
-    count: int
+    number: int
+    """How many there are."""
     first: int | None
     """Number of the first vertex or triangle that has it, where one has."""
     done: str
@@ -20,7 +21,7 @@ class Finding(NamedTuple):
 
     def __str__(self) -> str:
         first = "" if self.first is None else f" (first: {self.first})"
-        return f"{self.count} {self.fault}{first}: {self.done}"
+        return f"{self.number} {self.fault}{first}: {self.done}"
 
 
 class Report(NamedTuple):

@@ -94,7 +94,7 @@ def _tangled(one_sided, a, b, agree, length) -> Bool[np.ndarray, " T"]:
 
 
 def _open(piece: Int[np.ndarray, " T"], sides) -> Bool[np.ndarray, " p"]:
-    ends = np.repeat(sides.count != 2, sides.count)
+    ends = np.repeat(sides.uses != 2, sides.uses)
     return np.bincount(piece[sides.triangle], ends) > 0
 
 

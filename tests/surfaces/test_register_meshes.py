@@ -234,14 +234,15 @@ def test_landmarks_on_one_line(no_fit, scale, offset):
 
 
 def test_what_is_wrong_is_named(no_fit):
-    both = np.concatenate([V, V + 5]), np.concatenate([F, F + len(V)])
-    two = mesh(*both)
-    with pytest.raises(ValueError, match="target: 2 components"):
-        register(mesh(V), two)
+    two = mesh(np.concatenate([V, V + 5]), np.concatenate([F, F + len(V)]))
+    with pytest.raises(ValueError, match="target: all 320 triangles are degenerate"):
+        register(mesh(V), mesh(0 * V))
     with pytest.raises(
         ValueError, match="expected a trimesh.Trimesh or a file, found S"
     ):
         mr.PointCloud.from_mesh(two.scene())
+    with pytest.raises(ValueError, match="source: expected a file, .* found Scene"):
+        mr.register(two.scene(), two, LANDMARKS, LANDMARKS)  # type: ignore
 
 
 def test_a_fit_that_had_not_settled_is_told(clean):

@@ -1,7 +1,6 @@
 """Closest points of a cloud: on the patch of the nearest of its points."""
 
 from collections.abc import Callable
-from typing import Protocol
 
 import equinox as eqx
 import jax
@@ -9,15 +8,8 @@ import jax.numpy as jnp
 import jaxkd.tree
 from jaxtyping import Array, Float, Int
 
+from .._base import AbstractManifold
 from .quadric_patch import QuadricPatch
-
-
-class Patched(Protocol):
-    """A surface of patches: a `PointCloud`."""
-
-    def nearest(self, p: Float[Array, "... s"]) -> Int[Array, "..."]: ...
-
-    def patches(self, index: Int[Array, "..."]) -> QuadricPatch: ...
 
 
 def tree_of(points) -> tuple[Array, Array]:
@@ -43,13 +35,15 @@ def nearest_point(
 
 
 @eqx.filter_jit
-def on_patches(cloud: Patched, function: Callable, *arguments: Array):
+def on_patches(cloud: AbstractManifold, function: Callable, *arguments: Array):
     """`function` of the patches of the points nearest to the first of `arguments`;
     compiled once a shape, as its iterations would recompile outside of `jit`."""
     s = arguments[0].shape[-1]
     shape = jnp.broadcast_shapes(*(a.shape for a in arguments))
     flat = [jnp.broadcast_to(a, shape).reshape(-1, s) for a in arguments]
-    patches = cloud.patches(cloud.nearest(flat[0]))
+    index = cloud.nearest(flat[0])
+    assert index is not None
+    patches = cloud.patches(index)
     result = jax.vmap(function)(patches, *flat)
     return result.reshape(*shape[:-1], *result.shape[1:])
 
