@@ -25,8 +25,8 @@ def register(
         typer.Option(
             help="Of the source: .mrk.json or .fcsv (3D Slicer), .pp (MeshLab), .tps or "
             "CSV (`name` and `x,y,z` or `vertex`). Without --target-landmarks a CSV "
-            "with a row for each pair: columns `source,target` hold vertex numbers of the files "
-            "(from 0), or `sx,sy,sz,tx,ty,tz` positions."
+            "with a row for each pair: columns `source,target` hold vertex numbers of the "
+            "files (from 0), or `sx,sy,sz,tx,ty,tz` positions."
         ),
     ],
     target_landmarks: Annotated[
@@ -83,7 +83,8 @@ def register(
             typer.echo(f"{file}: {surface.report}")
         start = time.perf_counter()
         found = mr.register(
-            *surfaces,
+            surfaces[0],
+            surfaces[1],
             ours,
             theirs,
             lam,

@@ -49,7 +49,7 @@ class Registration(eqx.Module):
     """Distances on the target between where the landmarks are sent and belong."""
     source_vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "f 3"] | None
-    landmark_names: tuple[str, ...] = eqx.field(static=True)
+    landmark_names: tuple[str, ...] = eqx.field(static=True, default=())
     """Of the pairs fitted, in the order of `landmark_errors`."""
 
     def mesh(self, t: float = 1.0) -> trimesh.Trimesh:

@@ -241,8 +241,8 @@ def test_what_is_wrong_is_named(no_fit):
         ValueError, match="expected a trimesh.Trimesh or a file, found S"
     ):
         mr.PointCloud.from_mesh(two.scene())
-    with pytest.raises(ValueError, match="source: expected a file, .* found Scene"):
-        mr.register(two.scene(), two, LANDMARKS, LANDMARKS)  # type: ignore
+    with pytest.raises(ValueError, match=r"source: expected shape \(n, 3\), found"):
+        register(V[:, :2], two)
 
 
 def test_a_fit_that_had_not_settled_is_told(clean):

@@ -64,12 +64,18 @@ class Surface(eqx.Module):
 
 
 SurfaceLike = (
-    Surface | trimesh.Trimesh | trimesh.PointCloud | PointCloud | str | os.PathLike
+    Surface
+    | trimesh.Trimesh
+    | trimesh.PointCloud
+    | PointCloud
+    | str
+    | os.PathLike
+    | ArrayLike
 )
 
 
 def load_surface(
-    surface: SurfaceLike | ArrayLike,
+    surface: SurfaceLike,
     normals: ArrayLike | None = None,
     *,
     least_share: float = LEAST_SHARE,
