@@ -64,7 +64,7 @@ def test_exports_of_trimesh(sound, tmp_path, name):
     [
         ("unused", "7 vertices of no triangle that is kept (first: 0)"),
         ("with_nan_triangles", "1 vertices of NaN or infinity (first: 162)"),
-        ("soup", "960 vertices at the place of another"),
+        ("soup", f"{F.size - N} vertices at the place of another"),
         ("degenerate", "3 degenerate triangles (first: 0)"),
         ("copies", "26 copies of triangles (first: 320)"),
         ("specks", "2 components of less than 1 % of the area: left out (0.0"),
@@ -74,8 +74,6 @@ def test_exports_of_trimesh(sound, tmp_path, name):
 def test_report(name, line):
     mesh = broken(ZOO[name])
     given = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    if name == "soup":
-        line = f"{len(np.unique(F)) * 0 + 960 - N} vertices at the place of another"
     assert line in str(mr.load_surface(given).report)
 
 
@@ -124,7 +122,7 @@ def test_a_tangle_in_a_sound_surface(sound):
     vertices, faces = np.concatenate([W, strip]), np.concatenate([F, loop + N])
     found = mr.load_surface(trimesh.Trimesh(vertices, faces, process=False))
     assert "where the surface has one side only" in str(found.report)
-    away = QUERIES[np.linalg.norm(QUERIES - W[0], axis=1) > 0.5]
+    away = QUERIES[np.linalg.norm(QUERIES - W[0], axis=1) > 1.0]
     ours = found.cloud.project(jnp.asarray(away))
     close(ours, sound.cloud.project(jnp.asarray(away)))
 

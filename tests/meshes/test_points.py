@@ -18,7 +18,9 @@ def test_normals_of_a_closed_surface():
     assert "estimated from 12 neighbours; 100 % of neighbours agree" in text
     assert "pointing outwards" in text
     at = 1.02 * np.asarray(truth.points)[::7]
-    gap = np.asarray(found.cloud.project(jnp.asarray(at)) - torus.project(at))
+    gap = np.asarray(
+        found.cloud.project(jnp.asarray(at)) - torus.project(jnp.asarray(at))
+    )
     assert np.abs(gap).max() < 5e-3
 
 
@@ -93,7 +95,7 @@ def test_files(tmp_path, write, given):
     np.testing.assert_array_equal(found.vertices, points)
     inwards = np.sum(np.asarray(found.cloud.normals) * points, axis=1) < 0
     assert np.all(inwards == given)
-    with pytest.raises(ValueError, match="holds no triangles, but .* load_surface"):
+    with pytest.raises(ValueError, match="no triangles, but .*`manireg.load_surface`"):
         mr.meshes.read_mesh(path)
 
 
@@ -102,7 +104,7 @@ def test_clouds_of_trimesh_and_ours():
     theirs = mr.load_surface(trimesh.PointCloud(points))
     cloud = mr.PointCloud(points, points)
     ours = mr.load_surface(cloud)
-    np.testing.assert_allclose(theirs.cloud.normals, ours.cloud.normals, atol=0.05)
+    np.testing.assert_allclose(theirs.cloud.normals, ours.cloud.normals, atol=0.1)
     np.testing.assert_array_equal(ours.cloud.bendings, cloud.bendings)
 
 
