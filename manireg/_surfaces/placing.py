@@ -101,8 +101,6 @@ def _hint(positions, gaps, surface: Surface) -> str:
     limit = OFF_SURFACE * surface.size
     if gaps.max() <= limit:
         return ""
-    if np.mean(gaps <= limit) > 0.5:
-        return "Most others lie on it: is this one mistaken?"
     if np.all(_gaps(positions * FLIP, surface) <= limit):
         return (
             "They lie on it with x and y negated (LPS and RAS of medical images): "
@@ -112,4 +110,6 @@ def _hint(positions, gaps, surface: Surface) -> str:
         if np.all(_gaps(positions * factor, surface) <= limit):
             by = shown(factor)
             return f"They lie on it in another unit: multiply positions by {by}."
+    if np.mean(gaps <= limit) > 0.5:
+        return "Most others lie on it: is this one mistaken?"
     return "Wrong units or the wrong mesh?"
