@@ -56,6 +56,10 @@ from ._solver.summary import Summary as Summary
 from ._source import AbstractSource as AbstractSource, Chart as Chart
 from ._sources.circle import Circle as Circle
 from ._sources.sources import Ambient as Ambient, Box as Box, Interval as Interval
+from ._surfaces.landmarks import (
+    Landmarks as Landmarks,
+    read_landmarks as read_landmarks,
+)
 from ._surfaces.register import Registration as Registration, register as register
 from .manifolds import (
     AbstractManifold as AbstractManifold,
@@ -75,5 +79,6 @@ from .manifolds import (
     Torus as Torus,
     check_manifold as check_manifold,
 )
+from .manifolds._scans.surface import Surface as Surface, load_surface as load_surface
 
 __version__ = _version("manireg")

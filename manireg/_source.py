@@ -181,6 +181,9 @@ class AbstractSource(eqx.Module):
         """Of points in ambient coordinates; here of the chord."""
         return jnp.sum((p[:, None] - q[None, :]) ** 2, axis=-1)
 
+    def check_connected(self) -> None:
+        """Raises ValueError if M falls into parts, which no energy holds together."""
+
     def check_points(self, name: str, x: np.ndarray, unit: str = "") -> None:
         """Raises ValueError if points `(k, *point_shape)` lie outside. `unit`: of
         converted dates."""

@@ -11,8 +11,8 @@ from pathlib import Path
 import manireg
 
 FLOORS: Sequence[str] = """
-_cache _input _programs _algebra meshes _source manifolds _sources _geodesics
-_discretisation _objective _solver _selection _surfaces baselines datasets plot
+_cache _input _programs _algebra datasets meshes _source manifolds _sources _geodesics
+_discretisation _objective _solver _selection _surfaces baselines plot
 __init__ _cli __main__
 """.split()
 ROOT = Path(manireg.__path__[0])

@@ -23,10 +23,16 @@ def register(
     landmarks: Annotated[
         Path,
         typer.Option(
-            help="CSV with a row for each pair. Columns `source,target` hold vertex "
-            "numbers of the files (from 0), or `sx,sy,sz,tx,ty,tz` positions."
+            help="Of the source: .mrk.json or .fcsv (3D Slicer), .pp (MeshLab), .tps or "
+            "CSV (`name` and `x,y,z` or `vertex`). Without --target-landmarks a CSV "
+            "with a row for each pair: columns `source,target` hold vertex numbers of the "
+            "files (from 0), or `sx,sy,sz,tx,ty,tz` positions."
         ),
     ],
+    target_landmarks: Annotated[
+        Path | None,
+        typer.Option(help="Of the target, matched by name."),
+    ] = None,
     out: Annotated[
         Path, typer.Option(help="The registered mesh: source triangles on the target.")
     ] = Path("registered.ply"),
@@ -61,17 +67,24 @@ def register(
 ) -> None:
     """Map one scanned surface onto another from a few landmarks.
 
-    Example: `manireg register mean.ply anna.ply --landmarks pairs.csv --picture anna.png
-    --morph 0.5`. Every vertex of the source gets its place on the target. Meshes of 20,000
-    vertices take some minutes, most of them for the choice of lambda.
+    Example: `manireg register mean.ply anna.ply --landmarks mean.mrk.json
+    --target-landmarks anna.mrk.json --picture anna.png --morph 0.5`. Every vertex of the
+    source gets its place on the target. Meshes of 20,000 vertices take some minutes, most
+    of them for the choice of lambda.
     """
     with clean_errors():
         check_written(picture, out)
-        ours, theirs = _read_landmarks(landmarks)
+        if target_landmarks is None:
+            ours, theirs = _read_pairs(landmarks)
+        else:
+            ours, theirs = map(mr.read_landmarks, (landmarks, target_landmarks))
+        surfaces = [mr.load_surface(file) for file in (source, target)]
+        for file, surface in zip((source, target), surfaces):
+            typer.echo(f"{file}: {surface.report}")
         start = time.perf_counter()
         found = mr.register(
-            source,
-            target,
+            surfaces[0],
+            surfaces[1],
             ours,
             theirs,
             lam,
@@ -94,14 +107,17 @@ def register(
             rows["lambda"] = f"{float(found.cv.lam):.3g} (landmarks left out)"
             rows["error of a left-out landmark"] = f"{float(found.cv.score):.3g}"
         errors = found.landmark_errors
-        rows["landmark errors"] = f"{errors.mean():.3g}, at most {errors.max():.3g}"
+        worst = found.landmark_names[errors.argmax()]
+        rows["landmark errors"] = (
+            f"{errors.mean():.3g}, at most {errors.max():.3g} ({worst})"
+        )
         low, high = np.percentile(found.stretch(), [5, 95])
         rows["area on target / source"] = f"{low:.2f} to {high:.2f} (90 %)"
         rows["time"] = f"{seconds:.0f} s"
         print_rows(rows, written)
 
 
-def _read_landmarks(file: Path):
+def _read_pairs(file: Path):
     table, option = read_text_table(file), "--landmarks"
     if has(table, "source", "target"):
         pairs = numbers(table, ["source", "target"], option)

@@ -1,5 +1,7 @@
 """Bad input is named here, once, at the public boundary: what was found, what to do."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -74,20 +76,30 @@ def check_source(source: AbstractSource):
             "source: expected an Interval, a Circle, a Box, an Ambient, a manifold or "
             f"another AbstractSource, found {type(source).__name__}."
         )
+    source.check_connected()
+
+
+OFF_SURFACE = 0.02  # of the size of a surface: so far from it may landmarks lie
 
 
 def check_landmarks(
-    name: str, surface: PointCloud, positions: np.ndarray
+    name: str,
+    surface: PointCloud,
+    positions: np.ndarray,
+    labels: Sequence[str] | None = None,
+    hint: str = "Wrong units or the wrong mesh?",
 ) -> np.ndarray:
-    """The points of the surface closest to `positions`, which may lie up to a hundredth
-    of its size away."""
+    """The points of the surface closest to `positions`, which may lie up to a fiftieth of
+    its size away. `labels`: what to call them, default their numbers from 0."""
     landed = np.asarray(projected(surface, positions))
     gap = np.linalg.norm(landed - positions, axis=1)
     size = np.linalg.norm(np.ptp(np.asarray(surface.points), axis=0))
-    if gap.max() > 1e-2 * size:
+    if gap.max() > OFF_SURFACE * size:
+        worst = gap.argmax()
+        label = worst if labels is None else labels[worst]
         raise ValueError(
-            f"{name}: landmark {gap.argmax()} lies {gap.max():.3g} off the surface, more "
-            f"than 1 % of its size ({size:.3g}). Wrong units or the wrong mesh?"
+            f"{name}: landmark {label} lies {gap.max():.3g} off the surface, more than "
+            f"{100 * OFF_SURFACE:g} % of its size ({size:.3g}). {hint}"
         )
     return landed
 

@@ -1,1 +1,1 @@
-"""Registration of scanned surfaces."""
+"""Registration of scanned surfaces, and the landmarks it goes by."""

@@ -1,10 +1,17 @@
 """Do landmarks map the outside of one surface to the outside of the other?"""
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..manifolds import PointCloud
+
 CLEAR = 0.25  # a mirror image has to fit so much better, in squared residuals
 AGREED = 0.5  # mean sign of the normals' agreement, of landmarks, that decides
+
+
+def normals_at(cloud: PointCloud, points) -> Float[np.ndarray, "l 3"]:
+    return np.asarray(cloud.normals[cloud.nearest(jnp.asarray(points))])
 
 
 def check_orientation(
@@ -39,7 +46,8 @@ def check_orientation(
             "target: a mirror image of the source by its landmarks; triangles would come "
             "out inside out. Mirror one mesh, which turns its triangles, too: "
             "`mesh.apply_transform(np.diag([-1.0, 1, 1, 1]))` (landmarks given as "
-            "positions by hand)."
+            "positions by hand). If the meshes are of the same hand, left and right are "
+            "exchanged in one set of landmarks: exchange their names."
         )
     if reversed:
         plane = (

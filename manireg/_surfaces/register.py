@@ -1,6 +1,7 @@
 """Dense correspondence between two scanned surfaces from a few landmarks."""
 
 import itertools
+import re
 import warnings
 from collections.abc import Sequence
 
@@ -9,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import trimesh
-from jaxtyping import ArrayLike, Float, Int, ScalarLike
+from jaxtyping import Float, Int, ScalarLike
 
+from .._input.numbers import Numbers, as_numbers
 from .._input.precision import check_x64
 from .._objective.make_problem import make_problem, with_tension
 from .._programs.sizes import power_of_four
@@ -20,10 +22,14 @@ from .._selection.one_fit import RTOL
 from .._solver.evaluation import evaluate
 from .._solver.model import RegressionMap
 from .._solver.solve import solve
+from .._sources.checks import check_landmarks
 from .._sources.sources import Ambient
-from ..manifolds import PointCloud
-from .given import Surface, given_surface, landmark_positions, normals_at
-from .orientation import check_orientation
+from ..manifolds._scans.surface import Surface, SurfaceLike, load_surface
+from .landmarks import Landmarks, LandmarksLike, as_landmarks
+from .orientation import check_orientation, normals_at
+from .pairs import matched
+from .placing import placed
+from .suspects import warn_of_suspects
 
 FEWEST_POINTS = 8192  # targets are padded: similar ones share compiled programs
 
@@ -33,7 +39,8 @@ class Registration(eqx.Module):
 
     vertices: Float[np.ndarray, "n 3"]
     """On the target, numbered as the vertices of the source are in its mesh or file; a
-    vertex that no triangle uses goes with the nearest one that is used."""
+    vertex that no triangle uses, or only those of a component left out, goes with the
+    nearest one that is used."""
     model: RegressionMap
     """The map itself, for any point of the source."""
     cv: CrossValidation | None
@@ -42,6 +49,8 @@ class Registration(eqx.Module):
     """Distances on the target between where the landmarks are sent and belong."""
     source_vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "f 3"] | None
+    landmark_names: tuple[str, ...] = eqx.field(static=True, default=())
+    """Of the pairs fitted, in the order of `landmark_errors`."""
 
     def mesh(self, t: float = 1.0) -> trimesh.Trimesh:
         """The source's triangles at (1 - t) source + t target: t = 1 is the registered
@@ -58,12 +67,14 @@ class Registration(eqx.Module):
 
 
 def register(
-    source: Surface,
-    target: Surface,
-    source_landmarks: ArrayLike,
-    target_landmarks: ArrayLike,
+    source: SurfaceLike,
+    target: SurfaceLike,
+    source_landmarks: LandmarksLike,
+    target_landmarks: LandmarksLike,
     lam: ScalarLike | None = None,
     *,
+    sigma: Numbers | None = None,
+    precision: Numbers | None = None,
     geometry: str | Sequence[str] = "ambient",
     centres: int | Sequence[int] = 400,
     tension: float | Sequence[float] = 1.0,
@@ -74,15 +85,22 @@ def register(
 
     **Arguments:**
 
-    - `source`, `target`: meshes (`trimesh.Trimesh`, or files trimesh loads) or
-      `PointCloud`s.
-    - `source_landmarks`, `target_landmarks`: l vertex numbers, or positions `(l, 3)` up
-      to a hundredth of the size away from the surface; at least 5 pairs. Numbers are those
-      of the mesh or of the file as it is (from 0; seams of a texture, unused and doubled
-      vertices count), also for `PointCloud.from_mesh`. STL files have none.
+    - `source`, `target`: what `load_surface` takes (meshes, files, point clouds), or what
+      it returns.
+    - `source_landmarks`, `target_landmarks`: files for `read_landmarks`, what it returns,
+      l vertex numbers, or positions `(l, 3)`; at least 5 pairs. Landmarks with names are
+      matched by them, those on one surface only are left out; others match in order.
+      Positions may lie up to a fiftieth of the size away from the surface. Numbers are
+      those of the mesh or of the file as it is (from 0; seams of a texture, unused and
+      doubled vertices count), also for `PointCloud.from_mesh`. STL files have none.
     - `lam`: lambda, or None to choose it by `leave_one_out` over the landmarks.
+    - `sigma`: how far off landmarks are, in the unit of the target: one number, or `(l,)`
+      in the order of `source_landmarks`; only ratios count.
+    - `precision`: `(l, 3, 3)` inverse covariances in its place, for landmarks that are
+      sharp in one direction only, as on an edge.
     - `geometry`: `"ambient"` (default) penalises bending in all directions of space,
-      `"intrinsic"` the Eells energy of the surface itself, which lets it bend freely.
+      `"intrinsic"` the Eells energy of the surface itself, which lets it bend freely, on
+      its largest component.
     - `centres`: about how many local polynomials, at most one a vertex (on a `PointCloud`
       without triangles one for twelve points); cost and detail grow with them. They
       and the smoothness follow the landmarks (`graded` in `make_problem`), so lambda and
@@ -99,38 +117,54 @@ def register(
     surfaces have to have the same orientation: of a mirror image the triangles would come
     out inside out.
 
-    **Warns** (UserWarning) if the fit kept had not settled: `.model.result` is then not
-    `successful`, as after `solve(..., throw=False)`.
+        found = mr.register("mean.ply", "anna.ply", "mean.mrk.json", "anna.mrk.json")
+        found.vertices  # where each vertex of mean.ply belongs on anna.ply
+
+    **Warns** (UserWarning) of repairs that may change results (see `load_surface`), of
+    landmarks without a partner, off the surface, in another coordinate system than it, or
+    that do not go with the others (swapped, given twice, misplaced), and if the fit kept
+    had not settled: `.model.result` is then not `successful`, as after `solve(...,
+    throw=False)`.
     **Raises** ValueError for landmarks that are too few, off the surface, NaN or on one
-    line, for meshes of opposite orientation, and for what `PointCloud` rejects;
-    RuntimeError for a fit that ends in NaN.
+    line, for meshes of opposite orientation, and for what `load_surface` and
+    `read_landmarks` reject; RuntimeError for a fit that ends in NaN.
     """
     check_x64()
-    ours, theirs = given_surface("source", source), given_surface("target", target)
-    cloud, onto = ours.cloud, theirs.cloud
-    x = landmark_positions("source_landmarks", source_landmarks, ours)
-    y = landmark_positions("target_landmarks", target_landmarks, theirs)
-    if len(x) != len(y) or len(x) < 5:
+    ours, theirs = _loaded("source", source), _loaded("target", target)
+    onto, choices = theirs.cloud, _choices(geometry, centres, tension)
+    pairs = matched(
+        as_landmarks("source_landmarks", source_landmarks),
+        as_landmarks("target_landmarks", target_landmarks),
+    )
+    if len(pairs.names) < 5:
         raise ValueError(
-            f"landmarks: at least 5 pairs are needed, found {len(x)} on the source and "
-            f"{len(y)} on the target."
+            f"landmarks: at least 5 pairs are needed, found {len(pairs.names)} on the "
+            f"source and {len(pairs.names)} on the target."
         )
+    x = placed("source_landmarks", pairs.source, ours)
+    y = placed("target_landmarks", pairs.target, theirs)
     for name, places in (("source_landmarks", x), ("target_landmarks", y)):
         spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
         if spread[1] <= 1e-3 * spread[0]:
             raise ValueError(f"{name}: all on one line; spread them out.")
     if ours.faces is not None:
-        check_orientation(x, y, normals_at(cloud, x), normals_at(onto, y))
+        check_orientation(x, y, normals_at(ours.cloud, x), normals_at(onto, y))
+    warn_of_suspects(x, y, pairs.names)
+    sigma, precision = (_of_pairs(a, pairs.numbers) for a in (sigma, precision))
+    pieces = {of: ours if of == "ambient" else _one_piece(ours) for of, _ in choices}
+    places = {of: _on(piece, ours, x, pairs.source) for of, piece in pieces.items()}
     padded = onto.padded(power_of_four(len(onto.points), least=FEWEST_POINTS))
-    choices = _choices(geometry, centres, tension)
     several = sum(map(len, choices.values())) > 1
-    found: list[tuple[RegressionMap, CrossValidation | None]] = []
+    found: list[tuple[str, RegressionMap, CrossValidation | None]] = []
     for (of, count), taus in choices.items():
+        cloud = pieces[of].cloud
         problem = make_problem(
-            _with_geometry(cloud, of),
+            Ambient(cloud) if of == "ambient" else cloud,
             padded,
-            x,
+            places[of],
             y,
+            sigma=sigma,
+            precision=precision,
             centres=count,
             degree=1,
             graded=True,
@@ -147,16 +181,59 @@ def register(
             if lam is None or several:
                 lams = None if lam is None else jnp.atleast_1d(lam)
                 cv = leave_one_out(taut, lams, progress=progress)
-                found.append((cv.model, cv))
+                found.append((of, cv.model, cv))
             else:
                 model = solve(taut, lam, starts=(1.0,), rtol=RTOL, throw=False)
-                found.append((model, None))
-    model, cv = min(found, key=lambda fit: _predicted_error(fit[1]))
+                found.append((of, model, None))
+    of, model, cv = min(found, key=lambda fit: _predicted_error(fit[2]))
     _check_result(model)
-    psi = evaluate(model.basis, model.coefficients, cloud.points, model.origin)[0]
-    image = np.asarray(onto.project(psi))[ours.of_vertex]
-    errors = np.linalg.norm(np.asarray(model(x)) - y, axis=1)
-    return Registration(image, model, cv, errors, ours.vertices, ours.faces)
+    piece = pieces[of]
+    psi = evaluate(model.basis, model.coefficients, piece.cloud.points, model.origin)[0]
+    image = np.asarray(onto.project(psi))[piece.of_vertex]
+    errors = np.linalg.norm(np.asarray(model(places[of])) - y, axis=1)
+    return Registration(image, model, cv, errors, ours.places, ours.faces, pairs.names)
+
+
+def _loaded(name: str, surface: SurfaceLike) -> Surface:
+    try:
+        found = load_surface(surface)
+    except ValueError as error:
+        raise ValueError(
+            re.sub("^(mesh|surface|points):", f"{name}:", str(error))
+        ) from error
+    if found is not surface and found.report.notable:
+        warnings.warn(f"{name}: {found.report.notable}.", stacklevel=3)
+    return found
+
+
+def _one_piece(surface: Surface) -> Surface:
+    piece = surface.largest()
+    if piece is not surface:
+        warnings.warn(
+            "source: the intrinsic energy takes its largest component alone, of "
+            f"{surface.components}; vertices of the others go with the nearest of it.",
+            stacklevel=4,
+        )
+    return piece
+
+
+def _on(piece: Surface, surface: Surface, x, landmarks: Landmarks):
+    if piece is surface:
+        return x
+    hint = (
+        "It is not on the largest component; leave it out, or take the ambient energy."
+    )
+    names = landmarks.names
+    return check_landmarks("source_landmarks", piece.cloud, x, names, hint)
+
+
+def _of_pairs(value: Numbers | None, index: list[int]) -> np.ndarray | None:
+    """What is given for each landmark of the source, for those in pairs."""
+    if value is None:
+        return None
+    array = as_numbers("sigma, precision", value)
+    whole = array.ndim > 0 and len(array) > max(index)
+    return array[index] if whole else array
 
 
 def _check_result(model: RegressionMap) -> None:
@@ -178,18 +255,15 @@ def _check_result(model: RegressionMap) -> None:
 def _choices(geometry, centres, tension) -> dict[tuple[str, int], tuple[float, ...]]:
     """Tensions to be tried with each geometry and number of centres; the intrinsic energy
     has none."""
+    wrong = [g for g in np.atleast_1d(geometry) if g not in ("ambient", "intrinsic")]
+    if wrong:
+        raise ValueError(
+            f"geometry: expected 'ambient' or 'intrinsic', found {str(wrong[0])!r}."
+        )
     several = lambda value: (value,) if np.ndim(value) == 0 else tuple(value)
     taus = {"ambient": tuple(dict.fromkeys(several(tension)))}
     pairs = itertools.product(several(geometry), several(centres))
     return {(of, n): taus.get(of, (0.0,)) for of, n in pairs}
-
-
-def _with_geometry(cloud: PointCloud, geometry: str):
-    if geometry not in ("ambient", "intrinsic"):
-        raise ValueError(
-            f"geometry: expected 'ambient' or 'intrinsic', found {geometry!r}."
-        )
-    return Ambient(cloud) if geometry == "ambient" else cloud
 
 
 def _predicted_error(cv: CrossValidation | None) -> float:

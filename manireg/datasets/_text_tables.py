@@ -44,12 +44,13 @@ class TextTable(NamedTuple):
         return self._replace(columns=columns, rows=rows, lines=lines)
 
 
-def read_text_table(path: Path) -> TextTable:
+def read_text_table(path: Path, headless: bool = False) -> TextTable:
     """The table in a text file: separated by `,`, `;`, tabs, `|` or spaces; UTF-8,
     UTF-16 or Windows-1252. Lines that are empty or start with `#`, `%` or `//` do not
     count; the first other one is the header. Where that looks like the data below it and
     the comment above it does not, the comment is the header (`# age,lat,lon`). A line of
-    units below the header is left out with a warning.
+    units below the header is left out with a warning. `headless`: if the first line looks
+    like data, it is; columns are then called "1", "2", ...
 
     Raises `FileNotFoundError`, or a `ValueError` that names the file and the line."""
     path = path.expanduser()
@@ -65,6 +66,8 @@ def read_text_table(path: Path) -> TextTable:
         separator = _separator(filled[:100])
     records = _records(path, lines, separator)
     header = _commented_header(records, comments, separator)
+    if header is None and headless and records and _alike(records):
+        header = [str(i + 1) for i in range(max(len(r) for _, r in records))]
     if header is None and records:
         header = records.pop(0)[1]
     if header is None or not records:
@@ -170,6 +173,12 @@ def _commented_header(records, comments: dict[int, str], separator: str):
     if alike and len(names) == len(first) and not any(map(is_data, names)):
         return names
     return None
+
+
+def _alike(records) -> bool:
+    """Whether the first record has numbers where the second has."""
+    first, second = (list(map(is_data, r)) for _, r in (records[0], records[:2][-1]))
+    return any(first) and first == second
 
 
 def _row_names(names: list[str], records, separator: str) -> bool:

@@ -6,6 +6,7 @@ import re
 import warnings
 from typing import Any
 
+import broken_meshes
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -82,6 +83,35 @@ def test_a_cloud_of_a_mesh_has_its_numbers(clean, tmp_path):
     cloud = mr.PointCloud.from_mesh(obj(tmp_path, unused_obj))
     found = register(cloud, mesh(W), ours=LANDMARKS + 5)
     np.testing.assert_allclose(found.vertices[5:-2], clean.vertices, atol=1e-12)
+
+
+QUICK = ("soup", "with_nan_triangles", "specks, far_away")
+CASES = [
+    name if name in QUICK else pytest.param(name, marks=pytest.mark.slow)
+    for name in broken_meshes.ZOO
+]
+
+
+@pytest.fixture(scope="module")
+def sound():
+    ours, theirs = mesh(broken_meshes.W), mesh(V)
+    return register(ours, theirs), register(theirs, ours)
+
+
+@pytest.mark.filterwarnings("ignore:(source|target). ")
+@pytest.mark.parametrize("name", CASES)
+def test_broken_meshes(sound, name):
+    """The map from and onto a broken mesh is that of the sound one."""
+    found = broken_meshes.broken(broken_meshes.ZOO[name])
+    given, numbers = mesh(found.vertices, found.faces), found.numbers
+    tolerance = 1e-6 * np.linalg.norm(np.ptp(V, axis=0))
+    lam = 1e-3 * found.scale**2
+    there = register(given, mesh(V), ours=numbers[LANDMARKS], lam=lam).vertices
+    assert np.all(np.isfinite(there)) and len(there) == len(found.vertices)
+    np.testing.assert_allclose(there[numbers], sound[0].vertices, atol=tolerance)
+    back = register(mesh(V), given, theirs=numbers[LANDMARKS])
+    at = back.vertices / found.scale - found.shift
+    np.testing.assert_allclose(at, sound[1].vertices, atol=tolerance)
 
 
 @pytest.mark.parametrize("scale", [1e-9, 0.3, 1e9])
@@ -234,14 +264,15 @@ def test_landmarks_on_one_line(no_fit, scale, offset):
 
 
 def test_what_is_wrong_is_named(no_fit):
-    both = np.concatenate([V, V + 5]), np.concatenate([F, F + len(V)])
-    two = mesh(*both)
-    with pytest.raises(ValueError, match="target: 2 components"):
-        register(mesh(V), two)
+    two = mesh(np.concatenate([V, V + 5]), np.concatenate([F, F + len(V)]))
+    with pytest.raises(ValueError, match="target: all 320 triangles are degenerate"):
+        register(mesh(V), mesh(0 * V))
     with pytest.raises(
         ValueError, match="expected a trimesh.Trimesh or a file, found S"
     ):
         mr.PointCloud.from_mesh(two.scene())
+    with pytest.raises(ValueError, match=r"source: expected shape \(n, 3\), found"):
+        register(V[:, :2], two)
 
 
 def test_a_fit_that_had_not_settled_is_told(clean):

@@ -1,73 +1,60 @@
-"""What a point cloud works out once, on the host, about all its points: checks, quadrics,
+"""What a point cloud works out once, on the host, about all its points: quadrics and
 areas."""
 
+from typing import NamedTuple
+
 import numpy as np
-import scipy.sparse as sp
-from scipy.spatial import KDTree
 
 from ..._input.numbers import as_numbers
-
-HUB = 50  # neighbours of a vertex through which no ring goes on
-EQUAL = 1e-6  # distances that differ by a smaller share are equal: the lower index wins
-
-
-def checked_points(points, normals, distinct: bool) -> tuple[np.ndarray, np.ndarray]:
-    points, normals = as_numbers("points", points), as_numbers("normals", normals)
-    if points.ndim != 2 or points.shape[1] not in (2, 3):
-        raise ValueError(
-            f"points: expected shape (P, 3), or (P, 2) for a curve, found {points.shape}."
-        )
-    if normals.shape != points.shape:
-        raise ValueError(
-            f"normals: expected shape {points.shape}, one for each point, found "
-            f"{normals.shape}."
-        )
-    for name, values in (("points", points), ("normals", normals)):
-        bad = np.flatnonzero(~np.all(np.isfinite(values), axis=1))
-        if len(bad):
-            raise ValueError(
-                f"{name}: {len(bad)} of {len(points)} hold NaN or infinity (first at "
-                f"index {bad[0]}); remove these points."
-            )
-    repeated = len(points) - len(np.unique(points, axis=0)) if distinct else 0
-    if repeated:
-        raise ValueError(
-            f"points: {repeated} of {len(points)} are repetitions of others; drop them "
-            "(numpy.unique); of a mesh take PointCloud.from_mesh(mesh)."
-        )
-    largest = np.max(np.abs(normals), axis=1, keepdims=True, initial=0.0)
-    normals = normals / np.where(largest > 0, largest, 1.0)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    zero = np.flatnonzero(largest[:, 0] <= 1e-12 * np.max(largest, initial=0.0))
-    if len(zero):
-        raise ValueError(
-            f"normals: {len(zero)} have no length (first at index {zero[0]}); vertices of "
-            "degenerate triangles do: remove those."
-        )
-    return points, normals / lengths
+from .cloud_checks import check_areas, check_sides, checked_points, checked_triangles
+from .neighbours import cloud_neighbours, mesh_neighbours, same_side_first
 
 
-def checked_triangles(triangles, points) -> np.ndarray:
-    triangles = np.asarray(triangles)
-    good = triangles.ndim == 2 and triangles.shape[1] == points.shape[1] == 3
-    if not good or triangles.dtype.kind not in "iu":
+class CloudFits(NamedTuple):
+    """The fields of a `PointCloud` that are worked out."""
+
+    points: np.ndarray
+    normals: np.ndarray
+    frames: np.ndarray
+    slopes: np.ndarray
+    bendings: np.ndarray
+    areas: np.ndarray
+    triangles: np.ndarray | None
+
+
+def fitted_cloud(points, normals, neighbours, areas, triangles) -> CloudFits:
+    """From the arguments of a `PointCloud`, which are checked."""
+    points, normals = checked_points(points, normals, distinct=triangles is None)
+    s = points.shape[1]
+    if neighbours is None:
+        neighbours = min({2: 6, 3: 12}[s], len(points) - 1)
+    least = {2: 3, 3: 6}[s]
+    if len(points) <= least:
         raise ValueError(
-            "triangles: expected whole numbers of shape (T, 3) and points in space, found "
-            f"{triangles.dtype} of shape {triangles.shape} and points {points.shape}."
+            f"points: {len(points)} are too few to tell how they bend, at least "
+            f"{least + 1} are needed. Subdivide a mesh (`mesh.subdivide()`)."
         )
-    beyond = np.any((triangles < 0) | (triangles >= len(points)), axis=1)
-    if np.any(beyond):
+    if not least <= neighbours < len(points):
         raise ValueError(
-            f"triangles: {np.sum(beyond)} have corners that are no points (first at index "
-            f"{np.argmax(beyond)}); there are {len(points)}, numbered from 0."
+            f"neighbours: must be at least {least} and less than the number of "
+            f"points, {len(points)}; found {neighbours}."
         )
-    unused = np.bincount(triangles.ravel(), minlength=len(points)) == 0
-    if np.any(unused):
-        raise ValueError(
-            f"triangles: {np.sum(unused)} points are in none (first: {np.argmax(unused)});"
-            " take PointCloud.from_mesh, which drops them."
-        )
-    return triangles
+    frames = plane_frames(normals)
+    if triangles is None:
+        near, distance = cloud_neighbours(points, neighbours)
+        check_sides(points, normals, near[:, :12], distance[:, :12])
+        near, distance = same_side_first(points, normals, near, distance)
+        if areas is None:
+            areas = voronoi_areas(points, normals, frames, near, distance)
+    else:
+        triangles = checked_triangles(triangles, points)
+        near = mesh_neighbours(points, normals, triangles, neighbours)
+        if areas is None:
+            areas = corner_areas(points, triangles)
+    slopes, bendings = fitted_quadrics(points, normals, frames, near)
+    areas = as_numbers("areas", areas)
+    check_areas(areas, points)
+    return CloudFits(points, normals, frames, slopes, bendings, areas, triangles)
 
 
 def corner_areas(points, triangles) -> np.ndarray:
@@ -97,74 +84,6 @@ def points_in_triangles(corners: np.ndarray, n: int) -> tuple[np.ndarray, np.nda
     share = np.stack([1 - u - v, u, v], axis=1)
     points = np.einsum("qc,tcs->tqs", share, corners).reshape(-1, 3)
     return points, np.repeat(triangle_areas(corners) / cuts**2, len(share))
-
-
-def check_areas(areas, points) -> None:
-    areas = as_numbers("areas", areas)
-    if areas.shape != (len(points),) or not np.all(areas > 0) or np.isinf(areas).any():
-        raise ValueError(
-            f"areas: expected {len(points)} positive numbers, one for each point, found "
-            f"shape {areas.shape}, least {np.min(areas, initial=np.inf):.3g}."
-        )
-
-
-def check_sides(points, normals, near, distance):
-    """Next to each other along the surface, normals have to agree."""
-    offset = points[near] - points[:, None]
-    along = np.abs(np.einsum("pks,ps->pk", offset, normals)) < 0.2 * distance
-    along &= distance < 2 * distance[:, :1]
-    opposite = np.einsum("pks,ps->pk", normals[near], normals) < -0.7
-    flipped = np.flatnonzero(np.sum(along & opposite, axis=1) >= 2)
-    if len(flipped) > max(3, 2e-3 * len(points)):
-        raise ValueError(
-            f"normals: at {len(flipped)} points (first at index {flipped[0]}) the "
-            "neighbours' normals point to the other side of the surface. Turn those of "
-            "one side, normals[i] = -normals[i], or take PointCloud.from_mesh(mesh), "
-            "where the triangles say what is next to each other."
-        )
-
-
-def cloud_neighbours(points, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Indices and distances `(P, k)` of the nearest, in order."""
-    found = KDTree(points).query(points, k=min(k + 9, len(points)))
-    distance, near = (np.asarray(a)[:, 1:] for a in found)  # without the point itself
-    order = np.lexsort((near, _ranks(distance)), axis=1)[:, :k]
-    take = lambda a: np.take_along_axis(a, order, axis=1)
-    return take(near), take(distance)
-
-
-def mesh_neighbours(points, normals, triangles, k: int) -> np.ndarray:
-    """Indices `(P, k)` of the nearest of those a few edges away, first those on the same
-    side; where there are too few, the point itself fills the row."""
-    P, start, end = len(points), triangles, np.roll(triangles, 1, axis=1)
-    ends = np.concatenate([start, end]).ravel(), np.concatenate([end, start]).ravel()
-    edges = sp.csr_array((np.ones(len(ends[0]), bool), ends), shape=(P, P))
-    few = (np.diff(edges.indptr) <= HUB).astype(bool)
-    onwards = sp.csr_array(edges.multiply(few[:, None]))
-    reach, ring = edges, 1
-    while 3 * ring * (ring + 1) < 2 * k:  # points within so many rings, mostly
-        reach, ring = sp.csr_array(reach + reach @ onwards), ring + 1
-    reach.setdiag(False)
-    reach.eliminate_zeros()
-    reach.sort_indices()
-    count = np.diff(reach.indptr)
-    rows, cols = np.repeat(np.arange(P), count), reach.indices
-    rank = _ranks(np.linalg.norm(points[cols] - points[rows], axis=1))
-    rank += (np.einsum("es,es->e", normals[rows], normals[cols]) <= 0) * (
-        np.ptp(rank) + 1
-    )
-    order = np.argsort(rows * (np.ptp(rank) + 1) + rank - rank.min(), kind="stable")
-    place = np.arange(len(rows)) - np.repeat(reach.indptr[:-1], count)
-    near = np.repeat(np.arange(P)[:, None], k, axis=1)
-    near[rows[place < k], place[place < k]] = cols[order][place < k]
-    return near
-
-
-def _ranks(distance) -> np.ndarray:
-    """Whole numbers in the order of distances, up to a constant the same after a change of
-    unit or origin."""
-    least = np.finfo(float).tiny
-    return np.round(np.log(np.maximum(distance, least)) / EQUAL).astype(int)
 
 
 def plane_frames(normals) -> np.ndarray:

@@ -1,33 +1,23 @@
 """Surfaces known by points and normals: scans, meshes."""
 
+import warnings
 from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jaxkd.tree
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, PRNGKeyArray, ScalarLike
 
 from ..._algebra.smooth import norm_squared
 from ..._input.numbers import Numbers
 from ..._input.precision import check_x64
-from ...meshes._surface import mesh_surface
+from ...meshes._clean import mesh_surface
 from .._base import AbstractManifold
 from .._defaults.second_form import geodesic_exp
-from .cloud_fits import (
-    check_areas,
-    check_sides,
-    checked_points,
-    checked_triangles,
-    cloud_neighbours,
-    corner_areas,
-    fitted_quadrics,
-    mesh_neighbours,
-    plane_frames,
-    points_in_triangles,
-    voronoi_areas,
-)
+from .closest import nearest_point, on_patches, signed_distance, tree_of
+from .cloud_checks import check_one_piece
+from .cloud_fits import fitted_cloud, points_in_triangles
 from .quadric_patch import QuadricPatch
 
 
@@ -95,56 +85,37 @@ class PointCloud(AbstractManifold):
         search: Callable[[Array, Array], Array] | None = None,
     ):
         check_x64()
-        points, normals = checked_points(points, normals, distinct=triangles is None)
-        s = points.shape[1]
-        if neighbours is None:
-            neighbours = min({2: 6, 3: 12}[s], len(points) - 1)
-        least = {2: 3, 3: 6}[s]
-        if len(points) <= least:
-            raise ValueError(
-                f"points: {len(points)} are too few to tell how they bend, at least "
-                f"{least + 1} are needed. Subdivide a mesh (`mesh.subdivide()`)."
-            )
-        if not least <= neighbours < len(points):
-            raise ValueError(
-                f"neighbours: must be at least {least} and less than the number of "
-                f"points, {len(points)}; found {neighbours}."
-            )
-        frames = plane_frames(normals)
-        if triangles is None:
-            near, distance = cloud_neighbours(points, neighbours)
-            check_sides(points, normals, near[:, :12], distance[:, :12])
-            if areas is None:
-                areas = voronoi_areas(points, normals, frames, near, distance)
-        else:
-            triangles = checked_triangles(triangles, points)
-            near = mesh_neighbours(points, normals, triangles, neighbours)
-            if areas is None:
-                areas = corner_areas(points, triangles)
-        slopes, bendings = fitted_quadrics(points, normals, frames, near)
-        check_areas(areas, points)
-        self.points, self.normals = jnp.asarray(points), jnp.asarray(normals)
-        self.frames = jnp.asarray(frames)
-        self.slopes, self.bendings = jnp.asarray(slopes), jnp.asarray(bendings)
-        self.areas = jnp.asarray(areas, float)
-        self.tree = _tree(self.points)
-        self.triangles = None if triangles is None else jnp.asarray(triangles)
+        fits = fitted_cloud(points, normals, neighbours, areas, triangles)
+        self.points, self.normals = jnp.asarray(fits.points), jnp.asarray(fits.normals)
+        self.frames = jnp.asarray(fits.frames)
+        self.slopes, self.bendings = (
+            jnp.asarray(fits.slopes),
+            jnp.asarray(fits.bendings),
+        )
+        self.areas = jnp.asarray(fits.areas, float)
+        self.tree = tree_of(self.points)
+        self.triangles = None if triangles is None else jnp.asarray(fits.triangles)
         self.of_vertex = None
         self.search = search
 
     @classmethod
     def from_mesh(cls, mesh, **options) -> "PointCloud":
         """The surface of a triangle mesh (`trimesh.Trimesh`) or of a file that trimesh
-        loads. Its points are the vertices, but for those that no triangle uses; where
-        triangles end, vertices at one place (at seams of a texture) are one point.
-        `.of_vertex` has the point of each vertex, for one that no triangle uses the
-        nearest. Normals are means over the angles around a point, areas a third of the
-        triangles around it. The triangles say which points are next to each other, at
-        whatever size and distance from the origin. Options go to `PointCloud`.
+        loads, repaired as `manireg.load_surface` does. Its points are the vertices, but
+        for those that no triangle uses; where triangles end, vertices at one place (at
+        seams of a texture) are one point. `.of_vertex` has the point of each vertex, for
+        one that no triangle uses the nearest. Normals are means over the angles around a
+        point, areas a third of the triangles around it. The triangles say which points
+        are next to each other, at whatever size and distance from the origin. Options go
+        to `PointCloud`.
 
-        **Raises** ValueError for an empty mesh, NaN, degenerate triangles only, triangles
-        of inconsistent orientation, several components."""
+        **Warns** (UserWarning) of repairs that may change results: components left out,
+        triangles turned, vertices of NaN.
+        **Raises** ValueError for an empty mesh, degenerate triangles only, a surface of
+        one side only."""
         surface = mesh_surface(mesh)
+        if surface.report.notable:
+            warnings.warn(f"mesh: {surface.report.notable}.", stacklevel=2)
         cloud = cls(
             surface.points,
             surface.normals,
@@ -172,7 +143,7 @@ class PointCloud(AbstractManifold):
         away = 1e3 * extent * (1 + jnp.arange(more) / max(more, 1))
         grown["points"] = grown["points"].at[len(self.points) :].add(away[:, None])
         grown["areas"] = grown["areas"].at[len(self.points) :].set(0.0)
-        grown["tree"] = _tree(grown["points"])
+        grown["tree"] = tree_of(grown["points"])
         grown["triangles"] = grown["of_vertex"] = None
         return eqx.tree_at(
             lambda cloud: tuple(getattr(cloud, name) for name in grown),
@@ -203,13 +174,7 @@ class PointCloud(AbstractManifold):
 
     def nearest(self, p: Float[Array, "... s"]) -> Int[Array, "..."]:
         """Index of the nearest point of the cloud."""
-        queries = jax.lax.stop_gradient(p.reshape(-1, p.shape[-1]))
-        if self.search is not None:
-            index = self.search(self.points, queries)
-        else:
-            tree = jaxkd.tree.tree_type(self.points, *self.tree)
-            index = jaxkd.query_neighbors(tree, queries, k=1)[0][:, 0]
-        return index.reshape(p.shape[:-1])
+        return nearest_point(self.points, self.tree, self.search, p)
 
     def patches(self, index: Int[Array, "..."]) -> QuadricPatch:
         """The patch of each point of `index`, batched like it."""
@@ -223,21 +188,21 @@ class PointCloud(AbstractManifold):
 
     def project(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
         """Closest point on the patch of the nearest point."""
-        return _on_patches(self, QuadricPatch.project, p)
+        return on_patches(self, QuadricPatch.project, p)
 
     def tangent_projection(
         self, p: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        return _on_patches(self, QuadricPatch.tangent_projection, p, v)
+        return on_patches(self, QuadricPatch.tangent_projection, p, v)
 
     def signed_distance(self, p: Float[Array, "... s"]) -> Float[Array, "..."]:
         """Distance to the surface, positive on the side of the normals."""
-        return _on_patches(self, _signed_distance, p)
+        return on_patches(self, signed_distance, p)
 
     def second_fundamental_form(
         self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        return _on_patches(self, QuadricPatch.second_fundamental_form, p, u, v)
+        return on_patches(self, QuadricPatch.second_fundamental_form, p, u, v)
 
     def squared_distance(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
@@ -268,6 +233,9 @@ class PointCloud(AbstractManifold):
         shift = jnp.einsum("nsm,nm->ns", self.frames[index], u)
         return self.project(self.points[index] + shift)
 
+    def check_connected(self) -> None:
+        check_one_piece(self.triangles, len(self.points))
+
     def known_points(self, n: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """The points of the cloud and their areas; where a mesh has fewer than `n`
         vertices, points in its triangles, with the same sum of areas."""
@@ -281,25 +249,3 @@ class PointCloud(AbstractManifold):
         """Half a spacing: a cloud is known as well as its points are dense."""
         areas = np.asarray(self.areas)
         return 0.5 * float(np.median(areas[areas > 0])) ** (1 / self.dim)
-
-
-def _tree(points) -> tuple[Array, Array]:
-    """Without jaxkd's named tuple, which cannot be pickled."""
-    _, order, axes = jaxkd.build_tree(points)
-    return order, axes
-
-
-@eqx.filter_jit
-def _on_patches(cloud: PointCloud, function: Callable, *arguments: Array):
-    """`function` of the patches of the points nearest to the first of `arguments`;
-    compiled once a shape, as its iterations would recompile outside of `jit`."""
-    s = cloud.points.shape[1]
-    shape = jnp.broadcast_shapes(*(a.shape for a in arguments))
-    flat = [jnp.broadcast_to(a, shape).reshape(-1, s) for a in arguments]
-    patches = cloud.patches(cloud.nearest(flat[0]))
-    result = jax.vmap(function)(patches, *flat)
-    return result.reshape(*shape[:-1], *result.shape[1:])
-
-
-def _signed_distance(patch: QuadricPatch, p):
-    return (p - patch.project(p)) @ patch.unit_normal(p)
