@@ -24,6 +24,7 @@ from .._sources.sources import Ambient
 from ..manifolds import PointCloud
 from .given import Surface, given_surface, landmark_positions, normals_at
 from .orientation import check_orientation
+from .surface_rounds import fit_surface
 
 FEWEST_POINTS = 8192  # targets are padded: similar ones share compiled programs
 
@@ -40,6 +41,9 @@ class Registration(eqx.Module):
     """How lambda was chosen; None if it was given."""
     landmark_errors: Float[np.ndarray, " l"]
     """Distances on the target between where the landmarks are sent and belong."""
+    match_weights: Float[np.ndarray, " n"] | None
+    """With `surface=True`: how far each vertex has a match on the target, 1, or is an
+    outlier or beyond its edge, 0."""
     source_vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "f 3"] | None
 
@@ -67,6 +71,7 @@ def register(
     geometry: str | Sequence[str] = "ambient",
     centres: int | Sequence[int] = 400,
     tension: float | Sequence[float] = 1.0,
+    surface: bool = False,
     progress: bool = True,
 ) -> Registration:
     """Learn the map from one surface to another that is smoothest in the sense of the
