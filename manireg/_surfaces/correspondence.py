@@ -45,7 +45,9 @@ def matches(
     `theirs` (none of less than half: what goes on beyond the edge has no match), times
     the mean agreement of normals, $(1 + n \cdot n') / 2$.
     """
-    features = [np.hstack([s.points, normal_length * s.normals]) for s in (ours, theirs)]
+    features = [
+        np.hstack([s.points, normal_length * s.normals]) for s in (ours, theirs)
+    ]
     shape = len(ours.points), len(theirs.points)
     size = np.linalg.norm(np.ptp(theirs.points, axis=0))
     forth = _affinity(*features, least=CLOSEST * size)

@@ -13,6 +13,8 @@ from jaxtyping import ArrayLike, Float, Int, ScalarLike
 
 from .._input.precision import check_x64
 from .._objective.make_problem import make_problem, with_tension
+from .._objective.problem import Problem
+from .._objective.wavelengths import lambda_of_wavelength, mean_spacing
 from .._programs.sizes import power_of_four
 from .._selection.choice import CrossValidation
 from .._selection.leave_one_out import leave_one_out
@@ -38,7 +40,7 @@ class Registration(eqx.Module):
     model: RegressionMap
     """The map itself, for any point of the source."""
     cv: CrossValidation | None
-    """How lambda was chosen; None if it was given."""
+    """How lambda was chosen; None if it was given, or not left out for (`surface`)."""
     landmark_errors: Float[np.ndarray, " l"]
     """Distances on the target between where the landmarks are sent and belong."""
     match_weights: Float[np.ndarray, " n"] | None
@@ -96,6 +98,15 @@ def register(
       the landmarks where there are none. On heads 1 was better than 0, the Eells energy
       alone; where a surface bends far, a sheet onto a cylinder, it was worse.
 
+    - `surface`: True: after the landmarks, the whole target. Sixty rounds match places of
+      the two surfaces that are near in position and normal, both ways, and move the source
+      towards its matches by smooth steps, large parts first (see `match_weights`). Where
+      the surfaces are alike in shape this is several times as accurate as landmarks alone;
+      where they are not, or one goes on where the other ends, look at the weights. Lambda
+      is then not chosen by leaving out but set to follow landmarks as far as they are
+      apart, unless it is given or there are several of what follows below; geometry and
+      tension are those of the start.
+
     Several geometries, numbers of centres or tensions, `geometry=("ambient",
     "intrinsic")`, `centres=(200, 400)`, `tension=(0, 1)`, are tried in all combinations,
     and the one that predicts left-out landmarks best is kept.
@@ -149,19 +160,36 @@ def register(
             )
         for tau in taus:
             taut = problem if tau == max(taus) else with_tension(problem, tau)
-            if lam is None or several:
+            if several or (lam is None and not surface):
                 lams = None if lam is None else jnp.atleast_1d(lam)
                 cv = leave_one_out(taut, lams, progress=progress)
                 found.append((cv.model, cv))
             else:
-                model = solve(taut, lam, starts=(1.0,), rtol=RTOL, throw=False)
+                at = _following(taut) if lam is None else lam
+                model = solve(taut, at, starts=(1.0,), rtol=RTOL, throw=False)
                 found.append((model, None))
     model, cv = min(found, key=lambda fit: _predicted_error(fit[1]))
     _check_result(model)
-    psi = evaluate(model.basis, model.coefficients, cloud.points, model.origin)[0]
+    psi = _psi(model, cloud)
+    weights = None
+    if surface:
+        most = max(count for _, count in choices)
+        fit = fit_surface(cloud, onto, padded, x, y, psi, most, progress)
+        model, weights = fit.model, fit.match_weights[ours.of_vertex]
+        psi = _psi(model, cloud)
     image = np.asarray(onto.project(psi))[ours.of_vertex]
     errors = np.linalg.norm(np.asarray(model(x)) - y, axis=1)
-    return Registration(image, model, cv, errors, ours.vertices, ours.faces)
+    return Registration(image, model, cv, errors, weights, ours.vertices, ours.faces)
+
+
+def _psi(model: RegressionMap, cloud: PointCloud) -> Float[np.ndarray, "n 3"]:
+    values = evaluate(model.basis, model.coefficients, cloud.points, model.origin)[0]
+    return np.asarray(values)
+
+
+def _following(problem: Problem):
+    """The lambda at which waves as long as the landmarks are apart are still followed."""
+    return lambda_of_wavelength(problem, mean_spacing(problem))
 
 
 def _check_result(model: RegressionMap) -> None:

@@ -25,7 +25,10 @@ from .linear_map import LinearMap, linear_map
 
 ROUNDS = 60
 # In the root of the source's area, so that neither unit nor sampling matters:
-VISCOUS = (1 / 2, 1 / 5.5)  # wavelengths below which a round does not move, first and last
+VISCOUS = (
+    1 / 2,
+    1 / 5.5,
+)  # wavelengths below which a round does not move, first and last
 ELASTIC = 1 / 20  # wavelength below which the map does not bend
 NORMAL_LENGTH = 1 / 50  # what a normal off by a radian is worth
 
@@ -78,7 +81,8 @@ def fit_surface(
     space = linear_map(problem)
     lam, viscosities = _schedule(problem)
     aims = np.concatenate([start, y])
-    w = space.fitted(aims, np.asarray(problem.weights), float(lam))
+    # what no round would move has to be smooth before
+    w = space.fitted(aims, np.asarray(problem.weights), viscosities[-1])
     theirs = _oriented(target)
     length = NORMAL_LENGTH * float(problem.volume) ** 0.5
     normals = np.concatenate([np.asarray(source.normals), np.zeros_like(x)])
@@ -90,7 +94,7 @@ def fit_surface(
         found = matches(ours, theirs, length)
         weights = _weights(share * found.weights, len(x))
         aims = np.concatenate([found.points, y])
-        w = space.fitted(aims, weights, float(lam), float(viscosity), w)
+        w = space.fitted(aims, weights, lam, viscosity, w)
     problem = _with_matches(problem, found, y, _weights(share * found.weights, len(x)))
     return SurfaceFit(_model(problem, w, lam), found.weights)
 
@@ -101,10 +105,10 @@ def _weights(surface: Float[np.ndarray, " n"], landmarks: int) -> np.ndarray:
     return 0.5 * np.concatenate([surface, np.full(landmarks, 1 / landmarks)])
 
 
-def _schedule(problem: Problem) -> tuple[Float[np.ndarray, ""], np.ndarray]:
+def _schedule(problem: Problem) -> tuple[float, np.ndarray]:
     """Lambda, and the viscosity of each round."""
     size = float(problem.volume) ** 0.5
-    of_wavelength = lambda l: np.asarray(lambda_of_wavelength(problem, l * size))
+    of_wavelength = lambda l: float(lambda_of_wavelength(problem, l * size))
     first, last = map(of_wavelength, VISCOUS)
     return of_wavelength(ELASTIC), np.geomspace(first, last, ROUNDS)
 
@@ -124,7 +128,7 @@ def _with_matches(problem: Problem, found: Matches, y, weights) -> Problem:
 
 
 def _model(problem: Problem, w: np.ndarray, lam) -> RegressionMap:
-    w, lam = jax.device_put((w, lam))
+    w, lam = jax.device_put((w, np.asarray(lam)))
     energies = _energies(argument(problem), lam, w)
     stats = {"num_steps": np.array(ROUNDS)}
     return regression_map(problem, w, lam, energies, optx.RESULTS.successful, stats)
