@@ -97,7 +97,7 @@ def inlier_weights(
 def edge_points(
     triangles: Int[np.ndarray, "t 3"] | None, count: int
 ) -> Bool[np.ndarray, " n"]:
-    """Which of `count` points are on sides of one triangle only; none without triangles."""
+    """Which of so many points are on a side of one triangle only; without any, none."""
     on_edge = np.zeros(count, bool)
     if triangles is not None:
         sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)

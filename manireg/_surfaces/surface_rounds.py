@@ -21,7 +21,7 @@ from .._solver.model import RegressionMap, regression_map
 from .._sources.sources import Ambient
 from ..manifolds import PointCloud
 from .correspondence import Matches, OrientedPoints, edge_points, matches
-from .linear_map import LinearMap, linear_map
+from .linear_map import linear_map
 
 ROUNDS = 60
 # In the root of the source's area, so that neither unit nor sampling matters:
@@ -54,7 +54,8 @@ def fit_surface(
     r"""From `start`, where the points of the source are sent at first: `ROUNDS` times the
     `matches` y' of all points, and the minimiser of
 
-    $$\tfrac12 \sum_i \omega_i |\Psi(x_i) - y'_i|^2 + \tfrac1{2l} \sum_j |\Psi(X_j) - Y_j|^2
+    $$\tfrac12 \sum_i \omega_i |\Psi(x_i) - y'_i|^2
+      + \tfrac1{2l} \sum_j |\Psi(X_j) - Y_j|^2
       + \lambda \int |D^2 \Psi|^2 + \mu \int |D^2 (\Psi - \Psi_0)|^2$$
 
     with $\Psi_0$ the map of the round before and omega the areas times the weights of
@@ -108,7 +109,7 @@ def _weights(surface: Float[np.ndarray, " n"], landmarks: int) -> np.ndarray:
 def _schedule(problem: Problem) -> tuple[float, np.ndarray]:
     """Lambda, and the viscosity of each round."""
     size = float(problem.volume) ** 0.5
-    of_wavelength = lambda l: float(lambda_of_wavelength(problem, l * size))
+    of_wavelength = lambda part: float(lambda_of_wavelength(problem, part * size))
     first, last = map(of_wavelength, VISCOUS)
     return of_wavelength(ELASTIC), np.geomspace(first, last, ROUNDS)
 
