@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csr_array, diags_array
+from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 NEIGHBOURS = 5  # of each point on the other surface, whose mean is its match
@@ -48,16 +48,14 @@ def matches(
     features = [
         np.hstack([s.points, normal_length * s.normals]) for s in (ours, theirs)
     ]
-    shape = len(ours.points), len(theirs.points)
     size = np.linalg.norm(np.ptp(theirs.points, axis=0))
     forth = _affinity(*features, least=CLOSEST * size)
     back = _affinity(*features[::-1], least=CLOSEST * size)
-    mixed = csr_array(forth) + csr_array(back.T)
-    mixed = diags_array(1 / mixed.sum(axis=1)) @ mixed
-    assert mixed.shape == shape
-    points, normals = mixed @ theirs.points, mixed @ theirs.normals
-    inside = 1 - mixed @ theirs.on_edge.astype(float)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    mixed = forth + csr_array(back.T)
+    there = np.hstack([theirs.points, theirs.normals, theirs.on_edge[:, None]])
+    there = (mixed @ there) / mixed.sum(axis=1)[:, None]
+    points, normals, inside = there[:, :3], there[:, 3:6], 1 - there[:, 6]
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
     allowed = np.where(inside < 0.5, 0.0, inside)
     weights = inlier_weights(np.sum((points - ours.points) ** 2, axis=1), allowed)
     return Matches(points, weights * 0.5 * (1 + np.sum(ours.normals * normals, axis=1)))
@@ -66,10 +64,9 @@ def matches(
 def _affinity(queries, points, least: float) -> csr_array:
     """Of each query with its nearest points."""
     count = min(NEIGHBOURS, len(points))
-    distance, near = KDTree(points).query(queries, k=range(1, count + 1))
+    distance, near = KDTree(points).query(queries, k=range(1, count + 1), workers=-1)
     weight = 1 / np.maximum(distance, least) ** 2
-    rows = np.repeat(np.arange(len(queries)), count)
-    entries = weight.ravel(), (rows, near.ravel())
+    entries = weight.ravel(), near.ravel(), np.arange(0, near.size + 1, count)
     return csr_array(entries, shape=(len(queries), len(points)))
 
 

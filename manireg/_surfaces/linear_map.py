@@ -21,6 +21,7 @@ class LinearMap(NamedTuple):
     origin: Float[np.ndarray, " 3"]
     values: csr_array
     """At the k data, `(k, q)`."""
+    transposed: csr_array
     derivatives: tuple[csr_array, ...]
     """Along each axis of space, at the same points."""
     bending: csc_array
@@ -58,14 +59,20 @@ class LinearMap(NamedTuple):
         with $\Psi_0$ the map of the coefficients `before` and mu the `viscosity`: lambda
         smooths the map, mu its change."""
         start = np.zeros((self.bending.shape[0], 3)) if before is None else before
-        weighted = self.values.T * weights
-        data = csc_array(weighted @ self.values)
+        weighted = _times_rows(self.values, weights)
+        data = csc_array(self.transposed @ weighted)
         ridge = RIDGE * data.diagonal().mean() * eye_array(len(start), format="csc")
         matrix = data + (lam + viscosity) * self.bending + ridge
-        change = weighted @ (y - self.at_data(start)) - lam * (self.bending @ start)
+        change = weighted.T @ (y - self.at_data(start)) - lam * (self.bending @ start)
         symmetric = {"SymmetricMode": True}
-        factor = splu(csc_array(matrix), "MMD_AT_PLUS_A", 0.0, options=symmetric)
+        factor = splu(matrix, "MMD_AT_PLUS_A", 0.0, options=symmetric)
         return start + factor.solve(change)
+
+
+def _times_rows(matrix: csr_array, factors: Float[np.ndarray, " k"]) -> csr_array:
+    """diag(factors) matrix."""
+    data = matrix.data * np.repeat(factors, np.diff(matrix.indptr))
+    return csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 def linear_map(problem: Problem) -> LinearMap:
@@ -75,9 +82,11 @@ def linear_map(problem: Problem) -> LinearMap:
     first = jets_of(problem.basis, np.concatenate([x[:, None], axes], axis=1), 1)
     size = problem.pattern.size
     along = tuple(_matrix(first, 1 + axis, size) for axis in range(3))
+    values = _matrix(problem.data_jets, 0, size)
     return LinearMap(
         np.asarray(problem.origin),
-        _matrix(problem.data_jets, 0, size),
+        values,
+        csr_array(values.T),
         along,
         _bending(problem, size),
     )

@@ -177,7 +177,7 @@ def register(
         fit = fit_surface(cloud, onto, padded, x, y, psi, most, progress)
         model, weights = fit.model, fit.match_weights[ours.of_vertex]
         psi = _psi(model, cloud)
-    image = np.asarray(onto.project(psi))[ours.of_vertex]
+    image = np.asarray(padded.project(jnp.asarray(psi)))[ours.of_vertex]
     errors = np.linalg.norm(np.asarray(model(x)) - y, axis=1)
     return Registration(image, model, cv, errors, weights, ours.vertices, ours.faces)
 

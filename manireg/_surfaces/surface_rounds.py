@@ -69,7 +69,7 @@ def fit_surface(
     """
     points, share = np.asarray(source.points), np.asarray(source.areas)
     share = share / np.sum(share)
-    nearest = np.asarray(target.nearest(jnp.asarray(start)))
+    nearest = np.asarray(padded.nearest(jnp.asarray(start)))
     problem = make_problem(
         Ambient(source),
         padded,
