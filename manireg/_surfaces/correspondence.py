@@ -40,7 +40,8 @@ def matches(
     $$d_{ij}^2 = |x_i - y_j|^2 + a^2 |n_i - n_j|^2, \qquad a = \texttt{normal\_length}.$$
 
     Closest points of one direction alone leave what sticks out of the other surface
-    without a match; those of both pull it there (White et al. 2019, MeshMonk). Weights
+    without a match; those of both pull it there (White et al. 2019, MeshMonk). But $y_j$
+    whose nearest is on the edge of `ours` may lie beyond it, and pulls nothing. Weights
     are those of `inlier_weights`, times the share of the mean that is off the edge of
     `theirs` (none of less than half: what goes on beyond the edge has no match), times
     the mean agreement of normals, $(1 + n \cdot n') / 2$.
@@ -50,7 +51,7 @@ def matches(
     ]
     size = np.linalg.norm(np.ptp(theirs.points, axis=0))
     forth = _affinity(*features, least=CLOSEST * size)
-    back = _affinity(*features[::-1], least=CLOSEST * size)
+    back = _affinity(*features[::-1], least=CLOSEST * size, without=ours.on_edge)
     mixed = forth + csr_array(back.T)
     there = np.hstack([theirs.points, theirs.normals, theirs.on_edge[:, None]])
     there = (mixed @ there) / mixed.sum(axis=1)[:, None]
@@ -61,11 +62,13 @@ def matches(
     return Matches(points, weights * 0.5 * (1 + np.sum(ours.normals * normals, axis=1)))
 
 
-def _affinity(queries, points, least: float) -> csr_array:
-    """Of each query with its nearest points."""
+def _affinity(queries, points, least: float, without=None) -> csr_array:
+    """Of each query with its nearest points; of none whose nearest is one of `without`."""
     count = min(NEIGHBOURS, len(points))
     distance, near = KDTree(points).query(queries, k=range(1, count + 1), workers=-1)
     weight = 1 / np.maximum(distance, least) ** 2
+    if without is not None:
+        weight[without[near[:, 0]]] = 0
     entries = weight.ravel(), near.ravel(), np.arange(0, near.size + 1, count)
     return csr_array(entries, shape=(len(queries), len(points)))
 

@@ -84,10 +84,9 @@ def fit_surface(
     aims = np.concatenate([start, y])
     # what no round would move has to be smooth before
     w = space.fitted(aims, np.asarray(problem.weights), viscosities[-1])
-    theirs = _oriented(target)
+    theirs, edge = _oriented(target), _oriented(source).on_edge
     length = NORMAL_LENGTH * float(problem.volume) ** 0.5
     normals = np.concatenate([np.asarray(source.normals), np.zeros_like(x)])
-    edge = np.zeros(len(points), bool)
     found = Matches(points, share)
     for viscosity in tqdm(viscosities, "surface", disable=not progress, leave=False):
         here, turned = space.at_data(w), space.normals(w, normals)
