@@ -40,9 +40,9 @@ def matches(
     $$d_{ij}^2 = |x_i - y_j|^2 + a^2 |n_i - n_j|^2, \qquad a = \texttt{normal\_length}.$$
 
     Closest points of one direction alone leave what sticks out of the other surface
-    without a match; those of both pull it there (White et al. 2019, MeshMonk). But $y_j$
-    whose nearest is on the edge of `ours` may lie beyond it, and pulls nothing. Weights
-    are those of `inlier_weights`, times the share of the mean that is off the edge of
+    without a match; those of both pull it there (White et al. 2019, MeshMonk). But where
+    the edge of `ours` is farther than 2 a from that of `theirs`, the $y_j$ nearest to it
+    lie beyond it, and pull nothing. Weights are those of `inlier_weights`, times the share of the mean that is off the edge of
     `theirs` (none of less than half: what goes on beyond the edge has no match), times
     the mean agreement of normals, $(1 + n \cdot n') / 2$.
     """
@@ -51,7 +51,11 @@ def matches(
     ]
     size = np.linalg.norm(np.ptp(theirs.points, axis=0))
     forth = _affinity(*features, least=CLOSEST * size)
-    back = _affinity(*features[::-1], least=CLOSEST * size, without=ours.on_edge)
+    back = _affinity(
+        *features[::-1],
+        least=CLOSEST * size,
+        without=_unpaired(ours, theirs, 2 * normal_length),
+    )
     mixed = forth + csr_array(back.T)
     there = np.hstack([theirs.points, theirs.normals, theirs.on_edge[:, None]])
     there = (mixed @ there) / mixed.sum(axis=1)[:, None]
@@ -60,6 +64,17 @@ def matches(
     allowed = np.where(inside < 0.5, 0.0, inside)
     weights = inlier_weights(np.sum((points - ours.points) ** 2, axis=1), allowed)
     return Matches(points, weights * 0.5 * (1 + np.sum(ours.normals * normals, axis=1)))
+
+
+def _unpaired(
+    ours: OrientedPoints, theirs: OrientedPoints, reach: float
+) -> Bool[np.ndarray, " n"]:
+    """Points on the edge of `ours` that the edge of `theirs` is not near."""
+    alone = ours.on_edge.copy()
+    if np.any(alone) and np.any(theirs.on_edge):
+        edge = KDTree(theirs.points[theirs.on_edge])
+        alone[alone] = edge.query(ours.points[alone])[0] > reach
+    return alone
 
 
 def _affinity(queries, points, least: float, without=None) -> csr_array:
@@ -82,7 +97,8 @@ def inlier_weights(
     $$w_i = a_i\, \frac{p_i}{p_i + e^{-\kappa^2 / 2}}, \qquad
       p_i = e^{-d_i^2 / 2 \sigma^2}, \qquad \sigma^2 = \sum w_i d_i^2 / \sum w_i$$
 
-    by iteration from $w_i = a_i$, the weights allowed."""
+    by iteration from $w_i = a_i$, the weights allowed: far ones are found as long as they
+    are fewer than $1 / \kappa^2$ of all, the rest is for edges and normals to tell."""
     uniform = np.exp(-(FAR**2) / 2)
     weights = allowed
     for _ in range(ITERATIONS):
