@@ -29,6 +29,7 @@ VISCOUS = (
     1 / 2,
     1 / 5.5,
 )  # wavelengths below which a round does not move, first and last
+START = 1 / 8  # wavelength below which the start is smoothed: rounds would leave it
 ELASTIC = 1 / 20  # wavelength below which the map does not bend
 NORMAL_LENGTH = 1 / 50  # what a normal off by a radian is worth
 
@@ -80,10 +81,9 @@ def fit_surface(
         degree=1,
     )
     space = linear_map(problem)
-    lam, viscosities = _schedule(problem)
+    first, lam, viscosities = _schedule(problem)
     aims = np.concatenate([start, y])
-    # what no round would move has to be smooth before
-    w = space.fitted(aims, np.asarray(problem.weights), viscosities[-1])
+    w = space.fitted(aims, np.asarray(problem.weights), first)
     theirs, edge = _oriented(target), _oriented(source).on_edge
     length = NORMAL_LENGTH * float(problem.volume) ** 0.5
     normals = np.concatenate([np.asarray(source.normals), np.zeros_like(x)])
@@ -105,12 +105,13 @@ def _weights(surface: Float[np.ndarray, " n"], landmarks: int) -> np.ndarray:
     return 0.5 * np.concatenate([surface, np.full(landmarks, 1 / landmarks)])
 
 
-def _schedule(problem: Problem) -> tuple[float, np.ndarray]:
-    """Lambda, and the viscosity of each round."""
+def _schedule(problem: Problem) -> tuple[float, float, np.ndarray]:
+    """Lambda of the start and of the rounds, and the viscosity of each round."""
     size = float(problem.volume) ** 0.5
     of_wavelength = lambda part: float(lambda_of_wavelength(problem, part * size))
     first, last = map(of_wavelength, VISCOUS)
-    return of_wavelength(ELASTIC), np.geomspace(first, last, ROUNDS)
+    viscosities = np.geomspace(first, last, ROUNDS)
+    return of_wavelength(START), of_wavelength(ELASTIC), viscosities
 
 
 def _oriented(surface: PointCloud) -> OrientedPoints:

@@ -29,16 +29,20 @@ def by_brute_force(ours, theirs, a):
     for i in range(len(d2)):
         near = np.argsort(d2[i])[:NEIGHBOURS]
         affinity[i, near] += 1 / d2[i, near]
+    rim = theirs.points[theirs.on_edge]
+    gap = np.linalg.norm(ours.points[:, None] - rim, axis=2).min(axis=1)
+    alone = ours.on_edge & (gap > 2 * a)
+    assert 0 < np.sum(alone) < np.sum(ours.on_edge)
     for j in range(d2.shape[1]):
         near = np.argsort(d2[:, j])[:NEIGHBOURS]
-        if not ours.on_edge[near[0]]:
+        if not alone[near[0]]:
             affinity[near, j] += 1 / d2[near, j]
     affinity /= affinity.sum(axis=1, keepdims=True)
     return affinity
 
 
 def test_matches_are_those_of_brute_force():
-    ours, theirs, a = oriented(60, edge=10), oriented(80, edge=20), 0.7
+    ours, theirs, a = oriented(60, edge=10), oriented(80, edge=20), 0.3
     found, affinity = matches(ours, theirs, a), by_brute_force(ours, theirs, a)
     np.testing.assert_allclose(found.points, affinity @ theirs.points, atol=1e-12)
     beyond = affinity @ theirs.on_edge > 0.5

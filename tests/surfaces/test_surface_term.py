@@ -19,12 +19,13 @@ BALL = trimesh.creation.icosphere(subdivisions=3)
 
 def bumps(p):
     """A ball with features, radii between .7 and 1.3."""
-    r = 1 + 0.12 * np.sin(4 * p[:, :1] + 1) * np.cos(5 * p[:, 1:2])
-    return p * (r + 0.12 * np.cos(6 * p[:, 2:] + p[:, :1]))
+    r = 1 + 0.2 * np.sin(4 * p[:, :1] + 1) * np.cos(4 * p[:, 1:2])
+    return p * (r + 0.15 * np.cos(5 * p[:, 2:] + p[:, :1]))
 
 
 def bend(p):
-    return p * [1.0, 1.2, 0.8] + 0.1 * np.sin(2 * p[:, [1, 2, 0]])
+    wave = np.sin(2 * p[:, [1, 2, 0]]) + 0.7 * np.sin(4 * p[:, [2, 0, 1]])
+    return p * [1.0, 1.2, 0.8] + 0.1 * wave
 
 
 def turned(mesh):
