@@ -42,9 +42,11 @@ def matches(
     Closest points of one direction alone leave what sticks out of the other surface
     without a match; those of both pull it there (White et al. 2019, MeshMonk). But where
     the edge of `ours` is farther than 2 a from that of `theirs`, the $y_j$ nearest to it
-    lie beyond it, and pull nothing. Weights are those of `inlier_weights`, times the share of the mean that is off the edge of
-    `theirs` (none of less than half: what goes on beyond the edge has no match), times
-    the mean agreement of normals, $(1 + n \cdot n') / 2$.
+    lie beyond it, and pull nothing.
+
+    Weights are those of `inlier_weights`, times the share of the mean that is off the
+    edge of `theirs` (none of less than half: what goes on beyond the edge has no match),
+    times the mean agreement of normals, $(1 + n \cdot n') / 2$.
     """
     features = [
         np.hstack([s.points, normal_length * s.normals]) for s in (ours, theirs)
