@@ -29,7 +29,7 @@ VISCOUS = (
     1 / 2,
     1 / 5.5,
 )  # wavelengths below which a round does not move, first and last
-START = 1 / 8  # wavelength below which the start is smoothed: rounds would leave it
+START = 1 / 11  # wavelength below which the start is smoothed: rounds would leave it
 ELASTIC = 1 / 20  # wavelength below which the map does not bend
 NORMAL_LENGTH = 1 / 50  # what a normal off by a radian is worth
 
