@@ -18,14 +18,13 @@ BALL = trimesh.creation.icosphere(subdivisions=3)
 
 
 def bumps(p):
-    """A ball with features, radii between .7 and 1.3."""
+    """A ball with ridges and hollows, its radii from .6 to 1.4."""
     r = 1 + 0.2 * np.sin(4 * p[:, :1] + 1) * np.cos(4 * p[:, 1:2])
     return p * (r + 0.15 * np.cos(5 * p[:, 2:] + p[:, :1]))
 
 
 def bend(p):
-    wave = np.sin(2 * p[:, [1, 2, 0]]) + 0.7 * np.sin(4 * p[:, [2, 0, 1]])
-    return p * [1.0, 1.2, 0.8] + 0.1 * wave
+    return p * [1.0, 1.2, 0.8] + 0.06 * np.sin(3 * p[:, [1, 2, 0]])
 
 
 def turned(mesh):
@@ -91,7 +90,7 @@ def test_whole_surface_beats_landmarks(unit):
     source = trimesh.Trimesh(unit * bumps(p), ball.faces, process=False)
     target = trimesh.Trimesh(unit * bend(bumps(q)), ball.faces, process=False)
     truth = unit * bend(bumps(p))
-    places = np.arange(12)  # of the icosahedron
+    places = np.arange(8)  # corners of the icosahedron
     error = {}
     for surface in (False, True):
         found = mr.register(
