@@ -51,7 +51,7 @@ def matches(
     features = [
         np.hstack([s.points, normal_length * s.normals]) for s in (ours, theirs)
     ]
-    size = np.linalg.norm(np.ptp(theirs.points, axis=0))
+    size = float(np.linalg.norm(np.ptp(theirs.points, axis=0)))
     forth = _affinity(*features, least=CLOSEST * size)
     back = _affinity(
         *features[::-1],
@@ -82,7 +82,8 @@ def _unpaired(
 def _affinity(queries, points, least: float, without=None) -> csr_array:
     """Of each query with its nearest points; of none whose nearest is one of `without`."""
     count = min(NEIGHBOURS, len(points))
-    distance, near = KDTree(points).query(queries, k=range(1, count + 1), workers=-1)
+    found = KDTree(points).query(queries, k=count, workers=-1)
+    distance, near = (np.reshape(a, (len(queries), count)) for a in found)
     weight = 1 / np.maximum(distance, least) ** 2
     if without is not None:
         weight[without[near[:, 0]]] = 0

@@ -58,7 +58,8 @@ class LinearMap(NamedTuple):
 
         with $\Psi_0$ the map of the coefficients `before` and mu the `viscosity`: lambda
         smooths the map, mu its change."""
-        start = np.zeros((self.bending.shape[0], 3)) if before is None else before
+        size = self.transposed.indptr.size - 1
+        start = np.zeros((size, 3)) if before is None else before
         weighted = _times_rows(self.values, weights)
         data = csc_array(self.transposed @ weighted)
         ridge = RIDGE * data.diagonal().mean() * eye_array(len(start), format="csc")

@@ -128,11 +128,11 @@ def _with_matches(problem: Problem, found: Matches, y, weights) -> Problem:
     return eqx.tree_at(lambda p: (p.y, p.weights), problem, new)
 
 
-def _model(problem: Problem, w: np.ndarray, lam) -> RegressionMap:
-    w, lam = jax.device_put((w, np.asarray(lam)))
-    energies = _energies(argument(problem), lam, w)
+def _model(problem: Problem, coefficients: np.ndarray, lam: float) -> RegressionMap:
+    w, at = jnp.asarray(coefficients), jnp.asarray(lam)
+    energies = _energies(argument(problem), at, w)
     stats = {"num_steps": np.array(ROUNDS)}
-    return regression_map(problem, w, lam, energies, optx.RESULTS.successful, stats)
+    return regression_map(problem, w, at, energies, optx.RESULTS.successful, stats)
 
 
 @program(most=4)
