@@ -97,7 +97,6 @@ def register(
     - `tension`: of the ambient energy, as in `make_problem`: holds on to the affine map of
       the landmarks where there are none. On heads 1 was better than 0, the Eells energy
       alone; where a surface bends far, a sheet onto a cylinder, it was worse.
-
     - `surface`: True: after the landmarks, the whole target. Sixty rounds match places of
       the two surfaces that are near in position and normal, both ways, and move the source
       towards its matches by smooth steps, large parts first (see `match_weights`). On
