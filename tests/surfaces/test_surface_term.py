@@ -95,7 +95,7 @@ def test_whole_surface_beats_landmarks(unit):
     error = {}
     for surface in (False, True):
         found = mr.register(
-            source, target, places, truth[places], None if surface else 1e-3, centres=200,
+            source, target, places, truth[places], None if surface else 1e-3 * unit**2, centres=200,
             surface=surface,
             progress=False,
         )  # fmt: skip
