@@ -94,9 +94,9 @@ def test_whole_surface_beats_landmarks(unit):
     places = np.arange(6)  # corners of the icosahedron
     error = {}
     for surface in (False, True):
+        lam = None if surface else 1e-3 * unit**2
         found = mr.register(
-            source, target, places, truth[places], None if surface else 1e-3 * unit**2, centres=200,
-            surface=surface,
+            source, target, places, truth[places], lam, centres=200, surface=surface,
             progress=False,
         )  # fmt: skip
         error[surface] = np.linalg.norm(found.vertices - truth, axis=1).mean() / unit
