@@ -15,6 +15,8 @@ from jaxtyping import Float, Int, ScalarLike
 from .._input.numbers import Numbers, as_numbers
 from .._input.precision import check_x64
 from .._objective.make_problem import make_problem, with_tension
+from .._objective.problem import Problem
+from .._objective.wavelengths import lambda_of_wavelength, mean_spacing
 from .._programs.sizes import power_of_four
 from .._selection.choice import CrossValidation
 from .._selection.leave_one_out import leave_one_out
@@ -24,11 +26,13 @@ from .._solver.model import RegressionMap
 from .._solver.solve import solve
 from .._sources.checks import check_landmarks
 from .._sources.sources import Ambient
+from ..manifolds import PointCloud
 from ..manifolds._scans.surface import Surface, SurfaceLike, load_surface
 from .landmarks import Landmarks, LandmarksLike, as_landmarks
 from .orientation import check_orientation, normals_at
 from .pairs import matched
 from .placing import placed
+from .surface_rounds import fit_surface
 from .suspects import warn_of_suspects
 
 FEWEST_POINTS = 8192  # targets are padded: similar ones share compiled programs
@@ -44,9 +48,12 @@ class Registration(eqx.Module):
     model: RegressionMap
     """The map itself, for any point of the source."""
     cv: CrossValidation | None
-    """How lambda was chosen; None if it was given."""
+    """How lambda was chosen; None if it was given, or not left out for (`surface`)."""
     landmark_errors: Float[np.ndarray, " l"]
     """Distances on the target between where the landmarks are sent and belong."""
+    match_weights: Float[np.ndarray, " n"] | None
+    """With `surface=True`: how far each vertex has a match on the target, 1, or is an
+    outlier or beyond its edge, 0."""
     source_vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "f 3"] | None
     landmark_names: tuple[str, ...] = eqx.field(static=True, default=())
@@ -78,6 +85,7 @@ def register(
     geometry: str | Sequence[str] = "ambient",
     centres: int | Sequence[int] = 400,
     tension: float | Sequence[float] = 1.0,
+    surface: bool = False,
     progress: bool = True,
 ) -> Registration:
     """Learn the map from one surface to another that is smoothest in the sense of the
@@ -108,6 +116,14 @@ def register(
     - `tension`: of the ambient energy, as in `make_problem`: holds on to the affine map of
       the landmarks where there are none. On heads 1 was better than 0, the Eells energy
       alone; where a surface bends far, a sheet onto a cylinder, it was worse.
+    - `surface`: True: after the landmarks, the whole target. Sixty rounds match places of
+      the two surfaces that are near in position and normal, both ways, and move the source
+      towards its matches by smooth steps, large parts first (see `match_weights`). On
+      faces that was two to three times as accurate as landmarks alone, with few vertices
+      or few features it gains nothing, and it can lose: hold out landmarks to see. Lambda
+      is then not chosen by leaving out but set to follow landmarks as far as they are
+      apart, unless it is given or there are several of what follows below; geometry and
+      tension are those of the start.
 
     Several geometries, numbers of centres or tensions, `geometry=("ambient",
     "intrinsic")`, `centres=(200, 400)`, `tension=(0, 1)`, are tried in all combinations,
@@ -178,20 +194,37 @@ def register(
             )
         for tau in taus:
             taut = problem if tau == max(taus) else with_tension(problem, tau)
-            if lam is None or several:
+            if several or (lam is None and not surface):
                 lams = None if lam is None else jnp.atleast_1d(lam)
                 cv = leave_one_out(taut, lams, progress=progress)
                 found.append((of, cv.model, cv))
             else:
-                model = solve(taut, lam, starts=(1.0,), rtol=RTOL, throw=False)
+                at = _following(taut) if lam is None else lam
+                model = solve(taut, at, starts=(1.0,), rtol=RTOL, throw=False)
                 found.append((of, model, None))
     of, model, cv = min(found, key=lambda fit: _predicted_error(fit[2]))
     _check_result(model)
     piece = pieces[of]
-    psi = evaluate(model.basis, model.coefficients, piece.cloud.points, model.origin)[0]
-    image = np.asarray(onto.project(psi))[piece.of_vertex]
+    psi, weights = _psi(model, piece.cloud), None
+    if surface:
+        most = max(count for _, count in choices)
+        fit = fit_surface(piece.cloud, onto, padded, places[of], y, psi, most, progress)
+        model, weights = fit.model, fit.match_weights[piece.of_vertex]
+        psi = _psi(model, piece.cloud)
+    image = np.asarray(padded.project(jnp.asarray(psi)))[piece.of_vertex]
     errors = np.linalg.norm(np.asarray(model(places[of])) - y, axis=1)
-    return Registration(image, model, cv, errors, ours.places, ours.faces, pairs.names)
+    known = ours.places, ours.faces, pairs.names
+    return Registration(image, model, cv, errors, weights, *known)
+
+
+def _psi(model: RegressionMap, cloud: PointCloud) -> Float[np.ndarray, "n 3"]:
+    values = evaluate(model.basis, model.coefficients, cloud.points, model.origin)[0]
+    return np.asarray(values)
+
+
+def _following(problem: Problem):
+    """The lambda at which waves as long as the landmarks are apart are still followed."""
+    return lambda_of_wavelength(problem, mean_spacing(problem))
 
 
 def _loaded(name: str, surface: SurfaceLike) -> Surface:

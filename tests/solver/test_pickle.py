@@ -52,7 +52,7 @@ def fitted():
     scores, converged = jnp.ones((2, 1)), jnp.ones((2, 1), bool)
     cv = mr.CrossValidation(model.lam, lams, scores, converged, model, one, one, 2)
     vertices, faces = np.asarray(BALL.vertices), np.asarray(BALL.faces)
-    found = mr.Registration(vertices, model, cv, np.ones(5), vertices, faces)
+    found = mr.Registration(vertices, model, cv, np.ones(5), None, vertices, faces)
     return {"problem": problem, "model": model, "cv": cv, "found": found}
 
 

@@ -104,7 +104,7 @@ def test_broken_meshes(sound, name):
     """The map from and onto a broken mesh is that of the sound one."""
     found = broken_meshes.broken(broken_meshes.ZOO[name])
     given, numbers = mesh(found.vertices, found.faces), found.numbers
-    tolerance = 1e-6 * np.linalg.norm(np.ptp(V, axis=0))
+    tolerance = 1e-6 * float(np.linalg.norm(np.ptp(V, axis=0)))
     lam = 1e-3 * found.scale**2
     there = register(given, mesh(V), ours=numbers[LANDMARKS], lam=lam).vertices
     assert np.all(np.isfinite(there)) and len(there) == len(found.vertices)

@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike, Float, Int, PRNGKeyArray, ScalarLike
 from ..._algebra.smooth import norm_squared
 from ..._input.numbers import Numbers
 from ..._input.precision import check_x64
+from ..._programs.sizes import filled
 from ...meshes._clean import mesh_surface
 from .._base import AbstractManifold
 from .._defaults.second_form import geodesic_exp
@@ -137,12 +138,13 @@ class PointCloud(AbstractManifold):
             raise ValueError(f"size: at least {len(self.points)}, found {size}.")
         grown = {}
         for name in ("points", "normals", "frames", "slopes", "bendings", "areas"):
-            array = getattr(self, name)
-            grown[name] = jnp.concatenate([array, array[:1].repeat(more, 0)])
-        extent = jnp.max(jnp.ptp(self.points, axis=0))
-        away = 1e3 * extent * (1 + jnp.arange(more) / max(more, 1))
-        grown["points"] = grown["points"].at[len(self.points) :].add(away[:, None])
-        grown["areas"] = grown["areas"].at[len(self.points) :].set(0.0)
+            grown[name] = filled(getattr(self, name), size)
+        extent = np.max(np.ptp(np.asarray(self.points), axis=0))
+        away = 1e3 * extent * (1 + np.arange(more) / max(more, 1))
+        grown["points"][len(self.points) :] += away[:, None]
+        grown["areas"][len(self.points) :] = 0.0
+        # on the host: each size would be a program of its own
+        grown = jax.device_put(grown)
         grown["tree"] = tree_of(grown["points"])
         grown["triangles"] = grown["of_vertex"] = None
         return eqx.tree_at(
