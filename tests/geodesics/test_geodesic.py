@@ -244,8 +244,8 @@ def test_scans(tmp_path):
     """A file, a mesh and what `load_surface` makes of it."""
     ball = trimesh.creation.icosphere(subdivisions=2)
     ball.export(tmp_path / "ball.obj")
-    p, q = np.asarray(ball.vertices)[[0, 3]]
+    p, q = np.asarray(ball.vertices)[[0, 15]]
     scans = (tmp_path / "ball.obj", ball, mr.load_surface(ball))
     lengths = [mr.geodesic(scan, p, q).length for scan in scans]
     np.testing.assert_allclose(lengths, np.arccos(p @ q), rtol=0.02)
-    np.testing.assert_allclose(lengths, lengths[0], rtol=1e-6)
+    np.testing.assert_allclose(lengths, lengths[0], rtol=1e-4)

@@ -420,3 +420,31 @@ def test_skulls_are_not_doubted(data_folder, other):
         told = suspects(x, swapped, pairs.names)
         assert len(told) == 1 and repr(pairs.names[i]) in told[0]
         assert repr(pairs.names[j]) in told[0]
+
+
+SCANS = [
+    pytest.param(f"skull_{name}.ply", marks=pytest.mark.slow)
+    for name in ("A_J", "C57BL6_J", "CAST_EIJ", "DBA_2J", "NZO", "WSB")
+] + ["face_demo_10K.obj", "face_template_10K.obj"]
+
+
+@pytest.mark.parametrize("name", SCANS)
+def test_real_scans_and_their_landmarks(data_folder, name):
+    """Dozens of components, holes, NaN: a surface, with the landmarks on it."""
+    path = data_folder / "meshes" / name
+    found = mr.load_surface(path)
+    assert len(found.vertices) == len(found.of_vertex) > 9_000
+    assert np.all(np.isfinite(found.cloud.bendings)) and np.all(
+        np.isfinite(found.places)
+    )
+    if name.startswith("skull"):
+        marks, count = path.with_suffix(".mrk.json"), 51
+        assert "components of less than 1 %" in found.report.notable
+    else:
+        stem = name.removeprefix("face_").removesuffix("_10K.obj").title()
+        kind = {"Demo": "DemoFace", "Template": "Template"}[stem]
+        marks, count = path.with_name(f"face_{kind}Landmarks.csv"), 5
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        there = placed("landmarks", mr.read_landmarks(marks), found)
+    assert there.shape == (count, 3)
