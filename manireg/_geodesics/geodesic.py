@@ -1,10 +1,12 @@
 """Shortest curves: inputs, starts, and from them the minimum of the harmonic energy."""
 
+import os
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import trimesh
 from jaxtyping import Array, Float
 
 from .._input.numbers import Numbers, as_numbers
@@ -13,6 +15,7 @@ from .._sources.checks import check_points, is_concrete, projected
 from ..manifolds import AbstractManifold, PointCloud
 from ..manifolds._defaults.logarithm import relaxed_curve
 from ..manifolds._scans.paths import cloud_paths
+from ..manifolds._scans.surface import Surface, load_surface
 from .harmonic import Geodesic, minimise_harmonic
 
 RTOL = 1e-14  # predicted relative decrease of the energy at which Newton stops
@@ -21,7 +24,7 @@ CLOUD_NOISE = 1e-4  # where steps that promise less than this may fail: patches 
 
 
 def geodesic(
-    manifold: AbstractManifold,
+    manifold: AbstractManifold | Surface | trimesh.Trimesh | str | os.PathLike,
     p: Numbers,
     q: Numbers,
     *,
@@ -43,7 +46,8 @@ def geodesic(
 
     **Arguments:**
 
-    - `manifold`: any target; the one with only chords for distances is `PointCloud`.
+    - `manifold`: any target; the one with only chords for distances is `PointCloud`. Or a
+      scan: a file, a mesh, or what `load_surface` returns.
     - `p`, `q`: points `(..., *manifold.point_shape)`; leading dimensions broadcast.
     - `segments`: n >= 2. On a point cloud, steps much shorter than the spacing of the
       points see the jumps between their patches.
@@ -60,6 +64,8 @@ def geodesic(
 
     Source: Steinke and Hein 2008, section 4 ("an exact, but more expensive method").
     """
+    if isinstance(manifold, Surface | trimesh.Trimesh | str | os.PathLike):
+        manifold = load_surface(manifold).cloud
     check_x64(manifold)
     if not isinstance(manifold, AbstractManifold):
         raise ValueError(

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 from clouds import sphere_cloud, torus_cloud
 
 import manireg as mr
@@ -237,3 +238,14 @@ def test_geodesic_distance_needs_lambda():
     x, y = np.zeros(1), np.array([[0.0, 0, 1]])
     with pytest.raises(ValueError, match="distance: expected"):
         mr.fit(mr.Interval(0.0, 1.0), mr.Sphere(2), x, y, distance="geodesic")
+
+
+def test_scans(tmp_path):
+    """A file, a mesh and what `load_surface` makes of it."""
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    ball.export(tmp_path / "ball.obj")
+    p, q = np.asarray(ball.vertices)[[0, 15]]
+    scans = (tmp_path / "ball.obj", ball, mr.load_surface(ball))
+    lengths = [mr.geodesic(scan, p, q).length for scan in scans]
+    np.testing.assert_allclose(lengths, np.arccos(p @ q), rtol=0.02)
+    np.testing.assert_allclose(lengths, lengths[0], rtol=1e-4)

@@ -10,6 +10,7 @@ import trimesh
 from broken_meshes import F, W
 
 import manireg as mr
+from manireg._surfaces import register as _register
 from manireg._surfaces.landmarks import as_landmarks
 from manireg._surfaces.pairs import matched
 from manireg._surfaces.placing import placed
@@ -361,20 +362,29 @@ def test_misplaced():
     assert "'p7' seems misplaced" in told
 
 
-def test_register_tells(tmp_path):
-    """Two swapped, from files of two programs."""
+def test_register_tells(tmp_path, monkeypatch):
+    """Two swapped, from files of two programs; what is fitted is matched by name."""
     numbers = np.arange(0, 162, 8)
     names = [str(i) for i in numbers]
     theirs = numbers.copy()
     theirs[[2, 11]] = numbers[[11, 2]]
     a = written(tmp_path, "a.mrk.json", markups(names, W[numbers]))
     b = written(tmp_path, "b.pp", pp(names[::-1], W[theirs][::-1]))
+    fitted = []
+
+    def stop(source, target, x, y, **options):
+        fitted.extend([x, y])
+        raise InterruptedError
+
+    monkeypatch.setattr(_register, "make_problem", stop)
     text = f"'{names[2]}' and '{names[11]}' seem to be swapped"
-    with pytest.warns(UserWarning, match=text):
-        found = mr.register(MESH, MESH, a, b, 1e-3, centres=20, progress=False)
-    assert found.landmark_names == tuple(names)
+    with pytest.warns(UserWarning, match=text), pytest.raises(InterruptedError):
+        mr.register(MESH, MESH, a, b, 1e-3, centres=20, progress=False)
+    np.testing.assert_allclose(fitted[0], W[numbers], atol=1e-12)
+    np.testing.assert_allclose(fitted[1], W[theirs], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_sharp_landmarks_count_more():
     """Half of the landmarks are off: those with the larger sigma."""
     numbers = np.arange(0, 162, 8)
@@ -410,3 +420,31 @@ def test_skulls_are_not_doubted(data_folder, other):
         told = suspects(x, swapped, pairs.names)
         assert len(told) == 1 and repr(pairs.names[i]) in told[0]
         assert repr(pairs.names[j]) in told[0]
+
+
+SCANS = [
+    pytest.param(f"skull_{name}.ply", marks=pytest.mark.slow)
+    for name in ("A_J", "C57BL6_J", "CAST_EIJ", "DBA_2J", "NZO", "WSB")
+] + ["face_demo_10K.obj", "face_template_10K.obj"]
+
+
+@pytest.mark.parametrize("name", SCANS)
+def test_real_scans_and_their_landmarks(data_folder, name):
+    """Dozens of components, holes, NaN: a surface, with the landmarks on it."""
+    path = data_folder / "meshes" / name
+    found = mr.load_surface(path)
+    assert len(found.vertices) == len(found.of_vertex) > 9_000
+    assert np.all(np.isfinite(found.cloud.bendings)) and np.all(
+        np.isfinite(found.places)
+    )
+    if name.startswith("skull"):
+        marks, count = path.with_suffix(".mrk.json"), 51
+        assert "components of less than 1 %" in found.report.notable
+    else:
+        stem = name.removeprefix("face_").removesuffix("_10K.obj").title()
+        kind = {"Demo": "DemoFace", "Template": "Template"}[stem]
+        marks, count = path.with_name(f"face_{kind}Landmarks.csv"), 5
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        there = placed("landmarks", mr.read_landmarks(marks), found)
+    assert there.shape == (count, 3)

@@ -171,6 +171,32 @@ def test_command(clean, tmp_path, form):
     assert (tmp_path / "out.png").stat().st_size > 20_000
 
 
+def test_command_with_landmark_files(clean, tmp_path):
+    """A file a surface, in the orders and formats of two programs."""
+    write_mesh(mesh(V), tmp_path / "ball.ply")
+    write_mesh(mesh(W), tmp_path / "bent.ply")
+    rows = [f"p{i},{i}" for i in LANDMARKS]
+    (tmp_path / "a.csv").write_text("\n".join(["name,vertex", *rows, "extra,1"]))
+    points = [
+        f'<point name="P{i}" x="{x!r}" y="{y!r}" z="{z!r}"/>'
+        for i, (x, y, z) in zip(LANDMARKS, W[LANDMARKS].tolist())
+    ]
+    (tmp_path / "b.pp").write_text(
+        f"<PickedPoints>{''.join(points[::-1])}</PickedPoints>"
+    )
+    arguments = [
+        "register", tmp_path / "ball.ply", tmp_path / "bent.ply",
+        "--landmarks", tmp_path / "a.csv", "--target-landmarks", tmp_path / "b.pp",
+        "--out", tmp_path / "out.ply", "--lam", 1e-3, "--centres", 20,
+    ]  # fmt: skip
+    run = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert run.exit_code == 0, run.output
+    assert "21 pairs; left out are those only on the source: 'extra'" in run.output
+    assert "bent.ply: 162 vertices, 320 triangles, extent " in run.output
+    found = read_mesh(tmp_path / "out.ply")
+    np.testing.assert_allclose(found.vertices, clean.vertices, atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("name", "both"),
     [
