@@ -14,7 +14,7 @@ from ..manifolds import PointCloud
 
 NEIGHBOURS = 24  # of a point, among which it has its triangles
 ROOM = 2.0  # largest circumradius, over the spacing: a gap of five spacings is empty
-FEWEST = 12  # walls around a hole of a cloud; smaller ones are chance
+FEWEST = 12  # walls around a hole of a cloud; fewer are chance
 JITTER = 1e-4  # of the spacing: decides between the diagonals of a square
 NEAR = 8  # vertices and centroids next to a point, whose triangles may hold it
 
@@ -94,10 +94,12 @@ def edges_in_one(triangles) -> Int[np.ndarray, "W 2"]:
 def _of_cloud(points, normals, frames, where) -> Facets:
     tree = KDTree(points)
     frames, parts, one_sided = np.asarray(frames), [], []
+    inside, cut = np.isin(np.arange(len(points)), where), np.zeros(len(points), bool)
     random = np.random.default_rng(0).uniform(-1, 1, points.shape)
     for some in np.array_split(where, max(1, len(where) // 4000)):
         distance, near = _nearest(tree, points[some], NEIGHBOURS + 1)
         distance, near = distance[:, 1:], near[:, 1:]
+        cut[some] = ~np.all(inside[near], axis=1)
         spacing = np.median(distance[:, :6], axis=1)
         offset = points[near] - points[some, None]
         offset = offset + JITTER * spacing[:, None, None] * (
@@ -116,19 +118,18 @@ def _of_cloud(points, normals, frames, where) -> Facets:
     # a wall is one for both its ends: points may differ over the triangles between them
     ends = np.concatenate(one_sided)
     edges, count = np.unique(np.sort(ends, axis=1), axis=0, return_counts=True)
-    walls = _without_small_holes(edges[count == 2], len(points))
+    walls = _without_chance(edges[count == 2], cut)
     return Facets(points, triangles[np.sort(first)], walls)
 
 
-def _without_small_holes(walls, size: int):
-    """Closed chains only: others go on outside of what is looked at."""
-    ones, shape = np.ones(len(walls)), (size, size)
-    joined = sp.coo_array((ones, tuple(walls.T)), shape=shape)
-    part = np.asarray(connected_components(joined, directed=False)[1])[walls]
-    count = np.bincount(part[:, 0], minlength=size)
-    degree = np.bincount(walls.ravel(), minlength=size)
-    ends = np.bincount(part.ravel(), degree[walls.ravel()] != 2, minlength=size)
-    return walls[((count >= FEWEST) | (ends > 0))[part[:, 0]]]
+def _without_chance(walls, cut):
+    """Without short chains, unless they go on outside of what is looked at."""
+    ones, size = np.ones(len(walls)), len(cut)
+    joined = sp.coo_array((ones, tuple(walls.T)), shape=(size, size))
+    part = np.asarray(connected_components(joined, directed=False)[1])[walls[:, 0]]
+    count = np.bincount(part, minlength=size)
+    goes_on = np.bincount(part, np.any(cut[walls], axis=1), minlength=size) > 0
+    return walls[((count >= FEWEST) | goes_on)[part]]
 
 
 def _delaunay(u, same, room):

@@ -43,7 +43,7 @@ def paths(
             if not np.isfinite(distance[last[i]]):
                 raise ValueError(
                     f"p, q: no path leads from p to q of pair {i} between neighbours of "
-                    f"the cloud ({np.isfinite(distance).sum()} of {graph.shape[0]} points "
+                    f"the cloud ({np.isfinite(distance).sum()} of {len(distance)} points "
                     "hang together with p); take both from one component."
                 )
             found[i] = path_to(before, last[i])
