@@ -57,6 +57,7 @@ from ._source import AbstractSource as AbstractSource, Chart as Chart
 from ._sources.circle import Circle as Circle
 from ._sources.sources import Ambient as Ambient, Box as Box, Interval as Interval
 from ._surfaces.register import Registration as Registration, register as register
+from ._surfaces.slide import Slid as Slid, slide as slide
 from .manifolds import (
     AbstractManifold as AbstractManifold,
     Cylinder as Cylinder,
