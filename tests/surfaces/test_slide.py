@@ -97,7 +97,7 @@ def test_several_slide_onto_their_mean(data):
         data.landmarks, slid.landmarks, slid.energies, strict=True
     ):
         assert energy(slid.reference, moved) == pytest.approx(least, rel=1e-6)
-        fixed = [0, 1, 2, 3, 4, 15]
+        fixed = [0, 1, 2, 3, 4]
         np.testing.assert_array_equal(moved[fixed], y[fixed])
     # pose and size of the specimens mean nothing
     turn = trimesh.transformations.random_rotation_matrix([0.1, 0.7, 0.4])[:3, :3]
