@@ -56,6 +56,7 @@ from ._solver.summary import Summary as Summary
 from ._source import AbstractSource as AbstractSource, Chart as Chart
 from ._sources.circle import Circle as Circle
 from ._sources.sources import Ambient as Ambient, Box as Box, Interval as Interval
+from ._surfaces.certificate import Certificate as Certificate
 from ._surfaces.register import Registration as Registration, register as register
 from ._surfaces.slide import Slid as Slid, slide as slide
 from .manifolds import (
