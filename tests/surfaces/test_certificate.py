@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
@@ -207,7 +206,8 @@ def screenshot(page, picture):
 def test_page_turns_in_a_browser(registered, tmp_path):
     """Without a network. The surface is coloured, and looks different when turned and
     under another field."""
-    page = mr.plot.page(*registered, tmp_path / "page.html", "ball <-> oval")
+    found, report = registered
+    page = mr.plot.page(found, report, tmp_path / "page.html", "ball <-> oval")
     text = page.read_text()
     assert "<h1>ball &lt;-&gt; oval</h1>" in text and 'src="http' not in text
     shots = [screenshot(page, tmp_path / "first.png")]
@@ -274,19 +274,3 @@ def test_command(tmp_path):
         "--report: expected .json or .csv" in run("--report", tmp_path / "a.xls").output
     )
     assert "--inverse: is told in a report" in run().output
-
-
-def test_radii_are_those_of_the_posterior_of_a_line():
-    """Exact: x known at places of a plane, so deviations are those of a linear fit."""
-    space = mr.Euclidean(2)
-    random = np.random.default_rng(0)
-    x = random.uniform(-1, 1, size=(40, 2))
-    y = x + 0.01 * random.normal(size=x.shape)
-    model = mr.fit(mr.Box([-1, -1], [1, 1]), space, x, y, 1e6, sigma=0.01, centres=16)
-    design = np.c_[np.ones(40), x]
-    there = np.c_[np.ones(5), x[:5]]
-    variance = 1e-4 * np.einsum(
-        "qi,ij,qj->q", there, np.linalg.inv(design.T @ design), there
-    )
-    radius = model.posterior(smoothing_known=True).region(jnp.asarray(x[:5])).semi_axes
-    np.testing.assert_allclose(radius[:, -1], np.sqrt(5.991 * variance), rtol=0.4)
