@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from .._solver.at_minimum import at_minimum
-from .._solver.diagnostics import diagnostics
+from .._solver.diagnostics import Diagnostics, diagnostics
 from .._solver.model import RegressionMap
 from ..manifolds import PointCloud
 from .folds import agreement
@@ -42,8 +42,10 @@ class Certificate(eqx.Module):
     r"""Largest and smallest singular value of $d(\pi \circ \Psi)$ on $T_xM$: by how much
     lengths grow."""
     radius95: Float[np.ndarray, " n"] | None
-    """The longer semi-axis of the region that holds the true place with 95 %, from the
-    map's posterior. None for a map without its problem."""
+    r"""The longer semi-axis of the region that holds the true place with 95 %: of the map's
+    posterior, with the variance that left-out landmarks have about it, $\hat\sigma^2 =
+    \frac1{ln} \sum_i r_i^\top (1 - h_{ii})^{-1} r_i$ (where maps go through nearly all
+    data their own residuals say nothing). None for a map without its problem."""
     to_target: Float[np.ndarray, " n"]
     """Distance of each vertex to the target's triangles (or patches, of a cloud)."""
     from_target: Float[np.ndarray, " m"]
@@ -181,7 +183,8 @@ def certificate_of(
     turned = None
     if source.faces is not None:
         turned = agreement(vertices, source.faces, onto)
-    radius = _radii(model, cloud)
+    seen = _diagnostics(model)
+    radius = _radii(model, cloud, seen)
     from_target = np.full(len(target.vertices), np.nan)
     used = slice(None) if target.faces is None else np.unique(target.faces)
     from_target[used] = _distances(target.vertices[used], vertices, source.faces, None)
@@ -192,7 +195,7 @@ def certificate_of(
         to_target=_distances(vertices, target.vertices, target.faces, onto),
         from_target=from_target,
         inverse_error=inverse,
-        left_out=_left_out(model, landmarks),
+        left_out=_left_out(seen, model, landmarks),
         matched=matched,
         vertices=vertices,
     )
@@ -205,19 +208,30 @@ def _stretches(model: RegressionMap, cloud: PointCloud) -> Float[np.ndarray, "P 
     return np.linalg.svd(np.asarray(along), compute_uv=False)
 
 
-def _radii(model: RegressionMap, cloud: PointCloud) -> Float[np.ndarray, " P"] | None:
+def _radii(
+    model: RegressionMap, cloud: PointCloud, missed: Diagnostics | None
+) -> Float[np.ndarray, " P"] | None:
+    if missed is None:
+        return None
+    posterior, points = model.posterior(smoothing_known=True), np.asarray(cloud.points)
+    parts = np.array_split(points, -(-len(points) // CHUNK))
+    radii = [posterior.region(x).semi_axes[:, -1] for x in parts]
+    squares = missed.standardised**2 / cloud.dim
+    squares = squares[np.isfinite(squares)]
+    scale = np.sqrt(squares.mean()) if len(squares) else 1.0
+    return scale * np.concatenate(radii)
+
+
+def _diagnostics(model: RegressionMap) -> Diagnostics | None:
     if model.problem is None:
         return None
-    posterior, points = model.posterior(), np.asarray(cloud.points)
-    parts = np.array_split(points, -(-len(points) // CHUNK))
-    return np.concatenate([posterior.region(x).semi_axes[:, -1] for x in parts])
-
-
-def _left_out(model: RegressionMap, landmarks: int) -> Float[np.ndarray, " l"] | None:
-    if model.problem is None or len(model.problem.y) != landmarks:
-        return None
     found = at_minimum(model)
-    seen = diagnostics(model.problem, found, float(np.sqrt(found.spread.variance)))
+    return diagnostics(model.problem, found, float(np.sqrt(found.spread.variance)))
+
+
+def _left_out(seen: Diagnostics | None, model: RegressionMap, landmarks: int):
+    if seen is None or model.problem is None or len(model.problem.y) != landmarks:
+        return None
     missed = np.full(landmarks, np.nan)
     missed[seen.data] = seen.left_out
     return missed

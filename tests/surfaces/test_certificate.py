@@ -117,6 +117,23 @@ def test_of_a_linear_map(registered):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("lam", [1e-6, 1e-3])
+def test_radii_hold_the_truth(lam):
+    """Also of a map through nearly all landmarks, whose residuals say nothing."""
+    bent = BALL.vertices * [1.0, 1.2, 0.8] + 0.15 * np.sin(
+        2 * BALL.vertices[:, [1, 2, 0]]
+    )
+    onto = trimesh.Trimesh(bent, BALL.faces, process=False)
+    found = mr.register(
+        BALL, onto, LANDMARKS, LANDMARKS, lam, centres=80, progress=False
+    )
+    error = np.linalg.norm(found.vertices - bent, axis=1)[42:]
+    radius = found.report().radius95[42:]
+    assert np.mean(error < radius) > 0.9
+    assert np.median(radius) < 8 * np.median(error)
+
+
+@pytest.mark.slow
 def test_files(registered, tmp_path):
     _, report = registered
     told = json.loads(report.write(tmp_path / "a.json").read_text())
