@@ -42,10 +42,12 @@ class Certificate(eqx.Module):
     r"""Largest and smallest singular value of $d(\pi \circ \Psi)$ on $T_xM$: by how much
     lengths grow."""
     radius95: Float[np.ndarray, " n"] | None
-    r"""The longer semi-axis of the region that holds the true place with 95 %: of the map's
-    posterior, with the variance that left-out landmarks have about it, $\hat\sigma^2 =
-    \frac1{ln} \sum_i r_i^\top (1 - h_{ii})^{-1} r_i$ (where maps go through nearly all
-    data their own residuals say nothing). None for a map without its problem."""
+    r"""The longer semi-axis of the region that holds the true place with 95 %: of the
+    map's posterior, with the variance that left-out landmarks have about it,
+    $\hat\sigma^2 = \frac1{ln} \sum_i r_i^\top (1 - h_{ii})^{-1} r_i$ (where maps go
+    through nearly all data their own residuals say nothing). Too short where a lambda is
+    given that is far larger than the one that predicts landmarks best: what it smooths
+    away is not in it. None for a map without its problem."""
     to_target: Float[np.ndarray, " n"]
     """Distance of each vertex to the target's triangles (or patches, of a cloud)."""
     from_target: Float[np.ndarray, " m"]

@@ -117,7 +117,7 @@ def test_of_a_linear_map(registered):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lam", [1e-6, 1e-3])
+@pytest.mark.parametrize("lam", [1e-6, 1e-4])
 def test_radii_hold_the_truth(lam):
     """Also of a map through nearly all landmarks, whose residuals say nothing."""
     bent = BALL.vertices * [1.0, 1.2, 0.8] + 0.15 * np.sin(
@@ -128,7 +128,9 @@ def test_radii_hold_the_truth(lam):
         BALL, onto, LANDMARKS, LANDMARKS, lam, centres=80, progress=False
     )
     error = np.linalg.norm(found.vertices - bent, axis=1)[42:]
-    radius = found.report().radius95[42:]
+    radius = found.report().radius95
+    assert radius is not None
+    radius = radius[42:]
     assert np.mean(error < radius) > 0.9
     assert np.median(radius) < 8 * np.median(error)
 
