@@ -15,6 +15,7 @@ from helpers import MANIFOLDS
 
 import manireg as mr
 from manireg._discretisation.domain import discretise
+from manireg._surfaces.given import given_surface
 
 BALL = trimesh.creation.icosphere(subdivisions=2)
 CLOUD = mr.PointCloud.from_mesh(BALL)
@@ -52,7 +53,9 @@ def fitted():
     scores, converged = jnp.ones((2, 1)), jnp.ones((2, 1), bool)
     cv = mr.CrossValidation(model.lam, lams, scores, converged, model, one, one, 2)
     vertices, faces = np.asarray(BALL.vertices), np.asarray(BALL.faces)
-    found = mr.Registration(vertices, model, cv, np.ones(5), vertices, faces)
+    ours = given_surface("source", BALL)
+    parts = vertices, model, cv, np.ones(5), None, vertices, faces, ours, ours
+    found = mr.Registration(*parts)
     return {"problem": problem, "model": model, "cv": cv, "found": found}
 
 
