@@ -56,11 +56,14 @@ from ._solver.summary import Summary as Summary
 from ._source import AbstractSource as AbstractSource, Chart as Chart
 from ._sources.circle import Circle as Circle
 from ._sources.sources import Ambient as Ambient, Box as Box, Interval as Interval
+from ._surfaces.certificate import Certificate as Certificate
 from ._surfaces.landmarks import (
     Landmarks as Landmarks,
     read_landmarks as read_landmarks,
 )
-from ._surfaces.register import Registration as Registration, register as register
+from ._surfaces.register import register as register
+from ._surfaces.registration import Registration as Registration
+from ._surfaces.slide import Slid as Slid, slide as slide
 from .manifolds import (
     AbstractManifold as AbstractManifold,
     Cylinder as Cylinder,

@@ -1,6 +1,7 @@
 """`manireg register`."""
 
 import time
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,7 @@ import manireg as mr
 from .. import plot
 from ..datasets._text_tables import read_text_table
 from ..meshes import write_mesh
+from .certificate import check_report, write_report
 from .columns import has, numbers
 from .errors import check_written, clean_errors
 from .report import print_rows
@@ -43,6 +45,37 @@ def register(
         float | None,
         typer.Option(help="Also write the morph at this share, 0.5 is half way."),
     ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folds, stretches, distances, 95 % radii: .json (numbers and the worst "
+            "places) or .csv (a row for each vertex)."
+        ),
+    ] = None,
+    page: Annotated[
+        Path | None,
+        typer.Option(help="The same as a page to turn in a browser: .html, offline."),
+    ] = None,
+    inverse: Annotated[
+        bool,
+        typer.Option(
+            "--inverse", help="For the report: also map the target back, and compare."
+        ),
+    ] = False,
+    surface: Annotated[
+        bool,
+        typer.Option(
+            "--surface",
+            help="Go on from the landmarks to the whole target, by places that are near "
+            "in position and normal.",
+        ),
+    ] = False,
+    no_folds: Annotated[
+        bool,
+        typer.Option(
+            "--no-folds", help="Raise lambda until no triangle is folded over."
+        ),
+    ] = False,
     lam: Annotated[
         float | None,
         typer.Option(help="Lambda. Default: chosen by leaving out landmarks."),
@@ -74,24 +107,25 @@ def register(
     """
     with clean_errors():
         check_written(picture, out)
+        check_report(report, page, inverse)
         if target_landmarks is None:
             ours, theirs = _read_pairs(landmarks)
         else:
             ours, theirs = map(mr.read_landmarks, (landmarks, target_landmarks))
         surfaces = [mr.load_surface(file) for file in (source, target)]
-        for file, surface in zip((source, target), surfaces):
-            typer.echo(f"{file}: {surface.report}")
+        for file, loaded in zip((source, target), surfaces):
+            typer.echo(f"{file}: {loaded.report}")
         start = time.perf_counter()
-        found = mr.register(
-            surfaces[0],
-            surfaces[1],
-            ours,
-            theirs,
-            lam,
+        fit = partial(
+            mr.register,
+            lam=lam,
             geometry=geometry,
             centres=centres,
             tension=tension,
+            surface=surface,
+            no_folds=no_folds,
         )
+        found = fit(surfaces[0], surfaces[1], ours, theirs)
         seconds = time.perf_counter() - start
         written = [write_mesh(found.mesh(), out)]
         if morph is not None:
@@ -114,6 +148,13 @@ def register(
         low, high = np.percentile(found.stretch(), [5, 95])
         rows["area on target / source"] = f"{low:.2f} to {high:.2f} (90 %)"
         rows["time"] = f"{seconds:.0f} s"
+        if report is not None or page is not None:
+            back = None
+            if inverse:
+                back = fit(surfaces[1], surfaces[0], theirs, ours)
+            more, files = write_report(found, found.report(back), report, page)
+            rows |= more
+            written += files
         print_rows(rows, written)
 
 

@@ -7,20 +7,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import trimesh
-from jaxtyping import Array, Float
 
 from .._input.numbers import Numbers, as_numbers
 from .._input.precision import check_x64
 from .._sources.checks import check_points, is_concrete, projected
-from ..manifolds import AbstractManifold, PointCloud
+from ..manifolds import AbstractManifold
 from ..manifolds._defaults.logarithm import relaxed_curve
-from ..manifolds._scans.paths import cloud_paths
 from ..manifolds._scans.surface import Surface, load_surface
 from .harmonic import Geodesic, minimise_harmonic
+from .on_scans import geodesics_on_scan
 
 RTOL = 1e-14  # predicted relative decrease of the energy at which Newton stops
-CLOUD_RTOL = 1e-8  # the same on a point cloud,
-CLOUD_NOISE = 1e-4  # where steps that promise less than this may fail: patches jump
 
 
 def geodesic(
@@ -40,9 +37,17 @@ def geodesic(
     n = 64, to 2e-9.
 
     The start is the shortest of a few relaxed curves, on a `PointCloud` a shortest path
-    in the graph of neighbours. The curve found is a local minimum next to it: inside the
-    injectivity radius the shortest curve, beyond it usually (on a point cloud another way
-    round may win that is a few percent longer: so are paths in the graph).
+    along the edges of its mesh or between neighbours. The curve found is a local minimum
+    next to it: inside the injectivity radius the shortest curve, beyond it usually (on a
+    point cloud another way round may win that is a few percent longer: so are paths in
+    the graph).
+
+    Scans have walls: holes, slits and the rim, wherever a mesh has edges with one
+    triangle, on points alone gaps of six spacings and more. Where the curve would cross
+    one, the shortest path that stays on the scan is the answer, smooth pieces between
+    corners of the rim. With triangles it is right to second order in the spacing; points
+    alone know a rim to a spacing, and corners are rounded by two. Points beyond the rim
+    go to the rim of a mesh.
 
     **Arguments:**
 
@@ -62,7 +67,9 @@ def geodesic(
     **Raises** ValueError for wrong shapes, NaN, points off the manifold, and for points
     in parts of a cloud that do not hang together.
 
-    Source: Steinke and Hein 2008, section 4 ("an exact, but more expensive method").
+    Source: Steinke and Hein 2008, section 4 ("an exact, but more expensive method");
+    round walls first Lanthier, Maheshwari and Sack, *Approximating shortest paths on
+    weighted polyhedral surfaces* (Algorithmica 30, 2001).
     """
     if isinstance(manifold, Surface | trimesh.Trimesh | str | os.PathLike):
         manifold = load_surface(manifold).cloud
@@ -81,8 +88,7 @@ def geodesic(
                 "`geodesic` outside of jit and vmap, with all pairs in one batch."
             )
         cloud: Any = manifold
-        starts = jnp.asarray(cloud_paths(cloud, p, q, segments))
-        found = _on_cloud(cloud, starts)
+        found = geodesics_on_scan(cloud, p, q, segments)
     else:
         found = _on_manifold(manifold, p, q, segments)
     return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
@@ -125,11 +131,3 @@ def _on_manifold(manifold: AbstractManifold, p, q, segments: int) -> Geodesic:
         return minimise_harmonic(manifold, columns.reshape(-1, *p.shape), RTOL, RTOL)
 
     return jax.vmap(one)(p, q)
-
-
-@eqx.filter_jit
-def _on_cloud(cloud: PointCloud, starts: Float[Array, "k points s"]) -> Geodesic:
-    def one(start):
-        return minimise_harmonic(cloud, start, CLOUD_RTOL, CLOUD_NOISE)
-
-    return jax.lax.map(one, starts)

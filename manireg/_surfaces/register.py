@@ -1,16 +1,14 @@
 """Dense correspondence between two scanned surfaces from a few landmarks."""
 
 import itertools
-import re
 import warnings
 from collections.abc import Sequence
+from functools import partial
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-import trimesh
-from jaxtyping import Float, Int, ScalarLike
+from jaxtyping import Array, Float, ScalarLike
 
 from .._input.numbers import Numbers, as_numbers
 from .._input.precision import check_x64
@@ -27,50 +25,14 @@ from .._solver.solve import solve
 from .._sources.checks import check_landmarks
 from .._sources.sources import Ambient
 from ..manifolds import PointCloud
-from ..manifolds._scans.surface import Surface, SurfaceLike, load_surface
-from .landmarks import Landmarks, LandmarksLike, as_landmarks
-from .orientation import check_orientation, normals_at
-from .pairs import matched
-from .placing import placed
-from .surface_rounds import fit_surface
-from .suspects import warn_of_suspects
+from ..manifolds._scans.surface import Surface, SurfaceLike
+from .checked_pair import checked_pair
+from .folds import agreement, without_folds
+from .landmarks import Landmarks, LandmarksLike
+from .registration import Registration
+from .surface_rounds import SurfaceFit, fit_surface
 
 FEWEST_POINTS = 8192  # targets are padded: similar ones share compiled programs
-
-
-class Registration(eqx.Module):
-    """Where every vertex of the source belongs on the target."""
-
-    vertices: Float[np.ndarray, "n 3"]
-    """On the target, numbered as the vertices of the source are in its mesh or file; a
-    vertex that no triangle uses, or only those of a component left out, goes with the
-    nearest one that is used."""
-    model: RegressionMap
-    """The map itself, for any point of the source."""
-    cv: CrossValidation | None
-    """How lambda was chosen; None if it was given, or not left out for (`surface`)."""
-    landmark_errors: Float[np.ndarray, " l"]
-    """Distances on the target between where the landmarks are sent and belong."""
-    match_weights: Float[np.ndarray, " n"] | None
-    """With `surface=True`: how far each vertex has a match on the target, 1, or is an
-    outlier or beyond its edge, 0."""
-    source_vertices: Float[np.ndarray, "n 3"]
-    faces: Int[np.ndarray, "f 3"] | None
-    landmark_names: tuple[str, ...] = eqx.field(static=True, default=())
-    """Of the pairs fitted, in the order of `landmark_errors`."""
-
-    def mesh(self, t: float = 1.0) -> trimesh.Trimesh:
-        """The source's triangles at (1 - t) source + t target: t = 1 is the registered
-        mesh, 0.5 the morph half way, t > 1 a caricature. To write it far from the origin
-        without loss take `manireg.meshes.write_mesh`."""
-        if self.faces is None:
-            raise ValueError("mesh: the source is a point cloud without triangles.")
-        between = (1 - t) * self.source_vertices + t * self.vertices
-        return trimesh.Trimesh(between, self.faces, process=False)
-
-    def stretch(self) -> Float[np.ndarray, " f"]:
-        """Area of each triangle on the target relative to its area on the source."""
-        return self.mesh(1.0).area_faces / np.maximum(self.mesh(0.0).area_faces, 1e-300)
 
 
 def register(
@@ -86,6 +48,7 @@ def register(
     centres: int | Sequence[int] = 400,
     tension: float | Sequence[float] = 1.0,
     surface: bool = False,
+    no_folds: bool = False,
     progress: bool = True,
 ) -> Registration:
     """Learn the map from one surface to another that is smoothest in the sense of the
@@ -125,6 +88,10 @@ def register(
       apart, unless it is given or there are several of what follows below; geometry and
       tension are those of the start.
 
+    - `no_folds`: True: where triangles come out folded over, lambda is raised (above the
+      one chosen) until none is. A warning says how many are left where that ends in none
+      without, as on targets thinner than the landmarks are precise.
+
     Several geometries, numbers of centres or tensions, `geometry=("ambient",
     "intrinsic")`, `centres=(200, 400)`, `tension=(0, 1)`, are tried in all combinations,
     and the one that predicts left-out landmarks best is kept.
@@ -140,32 +107,16 @@ def register(
     landmarks without a partner, off the surface, in another coordinate system than it, or
     that do not go with the others (swapped, given twice, misplaced), and if the fit kept
     had not settled: `.model.result` is then not `successful`, as after `solve(...,
-    throw=False)`.
+    throw=False)`; with `no_folds` if folds are left.
     **Raises** ValueError for landmarks that are too few, off the surface, NaN or on one
     line, for meshes of opposite orientation, and for what `load_surface` and
     `read_landmarks` reject; RuntimeError for a fit that ends in NaN.
     """
     check_x64()
-    ours, theirs = _loaded("source", source), _loaded("target", target)
-    onto, choices = theirs.cloud, _choices(geometry, centres, tension)
-    pairs = matched(
-        as_landmarks("source_landmarks", source_landmarks),
-        as_landmarks("target_landmarks", target_landmarks),
-    )
-    if len(pairs.names) < 5:
-        raise ValueError(
-            f"landmarks: at least 5 pairs are needed, found {len(pairs.names)} on the "
-            f"source and {len(pairs.names)} on the target."
-        )
-    x = placed("source_landmarks", pairs.source, ours)
-    y = placed("target_landmarks", pairs.target, theirs)
-    for name, places in (("source_landmarks", x), ("target_landmarks", y)):
-        spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-        if spread[1] <= 1e-3 * spread[0]:
-            raise ValueError(f"{name}: all on one line; spread them out.")
-    if ours.faces is not None:
-        check_orientation(x, y, normals_at(ours.cloud, x), normals_at(onto, y))
-    warn_of_suspects(x, y, pairs.names)
+    choices = _choices(geometry, centres, tension)
+    given = checked_pair(source, target, source_landmarks, target_landmarks)
+    ours, theirs, pairs, x, y = given
+    onto = theirs.cloud
     sigma, precision = (_of_pairs(a, pairs.numbers) for a in (sigma, precision))
     pieces = {of: ours if of == "ambient" else _one_piece(ours) for of, _ in choices}
     places = {of: _on(piece, ours, x, pairs.source) for of, piece in pieces.items()}
@@ -204,22 +155,45 @@ def register(
                 found.append((of, model, None))
     of, model, cv = min(found, key=lambda fit: _predicted_error(fit[2]))
     _check_result(model)
-    piece = pieces[of]
-    psi, weights = _psi(model, piece.cloud), None
+    piece, at = pieces[of], places[of]
+    fits = partial(_landmarks_alone, model)
     if surface:
         most = max(count for _, count in choices)
-        fit = fit_surface(piece.cloud, onto, padded, places[of], y, psi, most, progress)
-        model, weights = fit.model, fit.match_weights[piece.of_vertex]
         psi = _psi(model, piece.cloud)
-    image = np.asarray(padded.project(jnp.asarray(psi)))[piece.of_vertex]
-    errors = np.linalg.norm(np.asarray(model(places[of])) - y, axis=1)
-    known = ours.places, ours.faces, pairs.names
-    return Registration(image, model, cv, errors, weights, *known)
+        fits = lambda stiffer, _: fit_surface(
+            piece.cloud, onto, padded, at, y, psi, most, progress, stiffer
+        )
+    fit, left = fits(1.0, None), 0
+    image = lambda model: np.asarray(padded.project(_psi(model, piece.cloud)))[
+        piece.of_vertex
+    ]
+    if no_folds and piece.faces is not None:
+        faces = piece.faces
+        turned = lambda fit: agreement(image(fit.model), faces, onto) < 0
+        fit, left = without_folds(fit, lambda fit: int(np.sum(turned(fit))), fits)
+    if left:
+        _warn_of_folds(left)
+    errors = np.linalg.norm(np.asarray(fit.model(at)) - y, axis=1)
+    weights = fit.match_weights
+    weights = None if weights is None else weights[piece.of_vertex]
+    vertices = image(fit.model)
+    known = piece, theirs, pairs.names
+    return Registration(vertices, fit.model, cv, errors, weights, *known)
 
 
-def _psi(model: RegressionMap, cloud: PointCloud) -> Float[np.ndarray, "n 3"]:
-    values = evaluate(model.basis, model.coefficients, cloud.points, model.origin)[0]
-    return np.asarray(values)
+def _landmarks_alone(
+    model: RegressionMap, stiffer: float, near: SurfaceFit | None
+) -> SurfaceFit:
+    """The map at so many times its lambda."""
+    if stiffer == 1 or model.problem is None:
+        return SurfaceFit(model, None)
+    warm = model.coefficients if near is None else near.model.coefficients
+    options = {"starts": (), "warm": warm, "rtol": RTOL, "throw": False}
+    return SurfaceFit(solve(model.problem, stiffer * model.lam, **options), None)
+
+
+def _psi(model: RegressionMap, cloud: PointCloud) -> Float[Array, "n 3"]:
+    return evaluate(model.basis, model.coefficients, cloud.points, model.origin)[0]
 
 
 def _following(problem: Problem):
@@ -227,16 +201,14 @@ def _following(problem: Problem):
     return lambda_of_wavelength(problem, mean_spacing(problem))
 
 
-def _loaded(name: str, surface: SurfaceLike) -> Surface:
-    try:
-        found = load_surface(surface)
-    except ValueError as error:
-        raise ValueError(
-            re.sub("^(mesh|surface|points):", f"{name}:", str(error))
-        ) from error
-    if found is not surface and found.report.notable:
-        warnings.warn(f"{name}: {found.report.notable}.", stacklevel=3)
-    return found
+def _warn_of_folds(left: int) -> None:
+    warnings.warn(
+        f"register: no_folds cannot be kept: {left} triangles are folded over at the best "
+        "stiffness tried, and a larger one does not help: the target is folded closer "
+        "than landmarks tell, or landmarks contradict each other. `.report().folded` has "
+        "them; add landmarks there.",
+        stacklevel=3,
+    )
 
 
 def _one_piece(surface: Surface) -> Surface:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 from tqdm import tqdm
 
 from .._objective.arguments import argument
@@ -38,8 +38,8 @@ class SurfaceFit(NamedTuple):
     """A map onto the whole target."""
 
     model: RegressionMap
-    match_weights: Float[np.ndarray, " n"]
-    """Of each point of the source, between 0 and 1."""
+    match_weights: Float[np.ndarray, " n"] | None
+    """Of each point of the source, between 0 and 1; None of landmarks alone."""
 
 
 def fit_surface(
@@ -48,9 +48,10 @@ def fit_surface(
     padded: PointCloud,
     x: Float[np.ndarray, "l 3"],
     y: Float[np.ndarray, "l 3"],
-    start: Float[np.ndarray, "n 3"],
+    start: Float[ArrayLike, "n 3"],
     centres: int,
     progress: bool,
+    stiffer: float = 1.0,
 ) -> SurfaceFit:
     r"""From `start`, where the points of the source are sent at first: `ROUNDS` times the
     `matches` y' of all points, and the minimiser of
@@ -65,8 +66,8 @@ def fit_surface(
     It is the change that is kept smooth: maps that a smooth flow reaches cost nothing,
     and matches, which hold on to where they are, give way to what all of them say.
 
-    What the rounds end in is no minimiser of one objective; its `problem` has the last
-    matches as data, with their weights.
+    `stiffer`: times lambda. What the rounds end in is no minimiser of one objective; its
+    `problem` has the last matches as data, with their weights.
     """
     points, share = np.asarray(source.points), np.asarray(source.areas)
     share = share / np.sum(share)
@@ -82,6 +83,7 @@ def fit_surface(
     )
     space = linear_map(problem)
     first, lam, viscosities = _schedule(problem)
+    start, lam = np.asarray(start), stiffer * lam
     aims = np.concatenate([start, y])
     w = space.fitted(aims, np.asarray(problem.weights), first)
     theirs, edge = _oriented(target), _oriented(source).on_edge

@@ -16,6 +16,7 @@ from ._loaders import (
     imu as imu,
     optical_nerves as optical_nerves,
     plate_rotations as plate_rotations,
+    scallops as scallops,
 )
 from ._polar_wander import (
     PolarWander as PolarWander,

@@ -65,6 +65,15 @@ class Landmarks(NamedTuple):
     labels: Int[np.ndarray, " n"] | np.ndarray
 
 
+class Semilandmarks(NamedTuple):
+    """Landmarks of specimens, of which some slide (see `manireg.slide`)."""
+
+    landmarks: Float[np.ndarray, "k n 3"]
+    curves: Int[np.ndarray, "c 3"]
+    """Before, slider, after."""
+    surfaces: Int[np.ndarray, " f"]
+
+
 def besse2002(plate: str = "IN", path: Path = None) -> Directions:
     """Synthetic apparent polar wander (north poles) of one plate, 0 to 200 million
     years at steps of 1, smooth because interpolated: Besse & Courtillot 2002."""
@@ -137,6 +146,13 @@ def optical_nerves(path: Path = None) -> Landmarks:
     """23 optical nerve heads of 5 landmarks with their identifiers, from geomstats."""
     data = np.load(find_table("kendall_shapes_geomstats.npz", path))
     return Landmarks(data["optical_nerves"], data["optical_nerve_id"])
+
+
+def scallops(path: Path = None) -> Semilandmarks:
+    """46 landmarks of 5 scallops, 11 of them of a curve and 30 of a surface, from
+    geomorph."""
+    data = np.load(find_table("landmarks_scallops.npz", path))
+    return Semilandmarks(data["landmarks"], data["curve_slide"], data["surface_slide"])
 
 
 def _columns(table: dict[str, np.ndarray], *names: str) -> np.ndarray:

@@ -19,10 +19,7 @@ def surface(
 ) -> None:
     """Draw `mesh` (a `trimesh.Trimesh`) as seen from direction `view`, shaded; a value for
     each triangle (or one for each vertex) gives its colour between `limits`."""
-    forward = np.asarray(view, float) / np.linalg.norm(view)
-    right = np.cross(up, forward)
-    right /= np.linalg.norm(right)
-    axes = np.stack([right, np.cross(forward, right), forward])
+    axes = view_axes(view, up)
     vertices, normals = mesh.vertices @ axes.T, mesh.face_normals @ axes.T
     shown = np.flatnonzero(normals[:, 2] > 0)
     order = shown[np.argsort(vertices[mesh.faces[shown], 2].mean(axis=1))]
@@ -45,6 +42,14 @@ def surface(
     ax.set(aspect="equal")
     ax.set_axis_off()
     ax.autoscale_view()
+
+
+def view_axes(view=(0.3, 0.2, 1.0), up=(0.0, 1.0, 0.0)) -> np.ndarray:
+    """Rows: to the right, upwards, to the viewer."""
+    forward = np.asarray(view, float) / np.linalg.norm(view)
+    right = np.cross(up, forward)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])
 
 
 def registration(found: Any, morph: float = 0.5) -> Figure:

@@ -235,6 +235,9 @@ def test_array_tables(data_folder):
     hands, nerves = datasets.hands(), datasets.optical_nerves()
     assert hands.points.shape == (53, 22, 3) and len(hands.labels) == 53
     assert nerves.points.shape == (23, 5, 3) and len(nerves.labels) == 23
+    scallops = datasets.scallops()
+    assert scallops.landmarks.shape == (5, 46, 3)
+    assert scallops.curves.shape == (11, 3) and scallops.surfaces.shape == (30,)
 
 
 def test_missing_data_say_what_and_how(tmp_path, monkeypatch):

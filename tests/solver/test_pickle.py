@@ -51,8 +51,9 @@ def fitted():
     lams, one = model.lam[None], jnp.ones(1)
     scores, converged = jnp.ones((2, 1)), jnp.ones((2, 1), bool)
     cv = mr.CrossValidation(model.lam, lams, scores, converged, model, one, one, 2)
-    vertices, faces = np.asarray(BALL.vertices), np.asarray(BALL.faces)
-    found = mr.Registration(vertices, model, cv, np.ones(5), None, vertices, faces)
+    ball = mr.load_surface(BALL)
+    vertices = np.asarray(BALL.vertices)
+    found = mr.Registration(vertices, model, cv, np.ones(5), None, ball, ball)
     return {"problem": problem, "model": model, "cv": cv, "found": found}
 
 
