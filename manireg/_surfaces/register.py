@@ -1,7 +1,6 @@
 """Dense correspondence between two scanned surfaces from a few landmarks."""
 
 import itertools
-import re
 import warnings
 from collections.abc import Sequence
 
@@ -22,14 +21,11 @@ from .._selection.one_fit import RTOL
 from .._solver.evaluation import evaluate
 from .._solver.model import RegressionMap
 from .._solver.solve import solve
-from .._sources.checks import check_landmarks
 from .._sources.sources import Ambient
-from ..manifolds._scans.surface import Surface, SurfaceLike, load_surface
-from .landmarks import Landmarks, LandmarksLike, as_landmarks
-from .orientation import check_orientation, normals_at
-from .pairs import matched
-from .placing import placed
-from .suspects import warn_of_suspects
+from ..manifolds._scans.surface import SurfaceLike
+from .given import given_surface, on_piece, one_piece
+from .landmark_pairs import landmark_pairs
+from .landmarks import LandmarksLike
 
 FEWEST_POINTS = 8192  # targets are padded: similar ones share compiled programs
 
@@ -130,29 +126,13 @@ def register(
     `read_landmarks` reject; RuntimeError for a fit that ends in NaN.
     """
     check_x64()
-    ours, theirs = _loaded("source", source), _loaded("target", target)
+    ours, theirs = given_surface("source", source), given_surface("target", target)
     onto, choices = theirs.cloud, _choices(geometry, centres, tension)
-    pairs = matched(
-        as_landmarks("source_landmarks", source_landmarks),
-        as_landmarks("target_landmarks", target_landmarks),
-    )
-    if len(pairs.names) < 5:
-        raise ValueError(
-            f"landmarks: at least 5 pairs are needed, found {len(pairs.names)} on the "
-            f"source and {len(pairs.names)} on the target."
-        )
-    x = placed("source_landmarks", pairs.source, ours)
-    y = placed("target_landmarks", pairs.target, theirs)
-    for name, places in (("source_landmarks", x), ("target_landmarks", y)):
-        spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-        if spread[1] <= 1e-3 * spread[0]:
-            raise ValueError(f"{name}: all on one line; spread them out.")
-    if ours.faces is not None:
-        check_orientation(x, y, normals_at(ours.cloud, x), normals_at(onto, y))
-    warn_of_suspects(x, y, pairs.names)
+    pairs = landmark_pairs(ours, theirs, source_landmarks, target_landmarks)
+    x, y = pairs.x, pairs.y
     sigma, precision = (_of_pairs(a, pairs.numbers) for a in (sigma, precision))
-    pieces = {of: ours if of == "ambient" else _one_piece(ours) for of, _ in choices}
-    places = {of: _on(piece, ours, x, pairs.source) for of, piece in pieces.items()}
+    pieces = {of: ours if of == "ambient" else one_piece(ours) for of, _ in choices}
+    places = {of: on_piece(piece, ours, x, pairs.names) for of, piece in pieces.items()}
     padded = onto.padded(power_of_four(len(onto.points), least=FEWEST_POINTS))
     several = sum(map(len, choices.values())) > 1
     found: list[tuple[str, RegressionMap, CrossValidation | None]] = []
@@ -192,39 +172,6 @@ def register(
     image = np.asarray(onto.project(psi))[piece.of_vertex]
     errors = np.linalg.norm(np.asarray(model(places[of])) - y, axis=1)
     return Registration(image, model, cv, errors, ours.places, ours.faces, pairs.names)
-
-
-def _loaded(name: str, surface: SurfaceLike) -> Surface:
-    try:
-        found = load_surface(surface)
-    except ValueError as error:
-        raise ValueError(
-            re.sub("^(mesh|surface|points):", f"{name}:", str(error))
-        ) from error
-    if found is not surface and found.report.notable:
-        warnings.warn(f"{name}: {found.report.notable}.", stacklevel=3)
-    return found
-
-
-def _one_piece(surface: Surface) -> Surface:
-    piece = surface.largest()
-    if piece is not surface:
-        warnings.warn(
-            "source: the intrinsic energy takes its largest component alone, of "
-            f"{surface.components}; vertices of the others go with the nearest of it.",
-            stacklevel=4,
-        )
-    return piece
-
-
-def _on(piece: Surface, surface: Surface, x, landmarks: Landmarks):
-    if piece is surface:
-        return x
-    hint = (
-        "It is not on the largest component; leave it out, or take the ambient energy."
-    )
-    names = landmarks.names
-    return check_landmarks("source_landmarks", piece.cloud, x, names, hint)
 
 
 def _of_pairs(value: Numbers | None, index: list[int]) -> np.ndarray | None:
