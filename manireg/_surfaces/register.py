@@ -22,13 +22,13 @@ from .._selection.one_fit import RTOL
 from .._solver.evaluation import evaluate
 from .._solver.model import RegressionMap
 from .._solver.solve import solve
-from .._sources.checks import check_landmarks
 from .._sources.sources import Ambient
 from ..manifolds import PointCloud
-from ..manifolds._scans.surface import Surface, SurfaceLike
-from .checked_pair import checked_pair
+from ..manifolds._scans.surface import SurfaceLike
 from .folds import agreement, without_folds
-from .landmarks import Landmarks, LandmarksLike
+from .given import given_surface, on_piece, one_piece
+from .landmark_pairs import landmark_pairs
+from .landmarks import LandmarksLike
 from .registration import Registration
 from .surface_rounds import SurfaceFit, fit_surface
 
@@ -114,12 +114,13 @@ def register(
     """
     check_x64()
     choices = _choices(geometry, centres, tension)
-    given = checked_pair(source, target, source_landmarks, target_landmarks)
-    ours, theirs, pairs, x, y = given
+    ours, theirs = given_surface("source", source), given_surface("target", target)
     onto = theirs.cloud
+    pairs = landmark_pairs(ours, theirs, source_landmarks, target_landmarks)
+    x, y = pairs.x, pairs.y
     sigma, precision = (_of_pairs(a, pairs.numbers) for a in (sigma, precision))
-    pieces = {of: ours if of == "ambient" else _one_piece(ours) for of, _ in choices}
-    places = {of: _on(piece, ours, x, pairs.source) for of, piece in pieces.items()}
+    pieces = {of: ours if of == "ambient" else one_piece(ours) for of, _ in choices}
+    places = {of: on_piece(piece, ours, x, pairs.names) for of, piece in pieces.items()}
     padded = onto.padded(power_of_four(len(onto.points), least=FEWEST_POINTS))
     several = sum(map(len, choices.values())) > 1
     found: list[tuple[str, RegressionMap, CrossValidation | None]] = []
@@ -209,27 +210,6 @@ def _warn_of_folds(left: int) -> None:
         "them; add landmarks there.",
         stacklevel=3,
     )
-
-
-def _one_piece(surface: Surface) -> Surface:
-    piece = surface.largest()
-    if piece is not surface:
-        warnings.warn(
-            "source: the intrinsic energy takes its largest component alone, of "
-            f"{surface.components}; vertices of the others go with the nearest of it.",
-            stacklevel=4,
-        )
-    return piece
-
-
-def _on(piece: Surface, surface: Surface, x, landmarks: Landmarks):
-    if piece is surface:
-        return x
-    hint = (
-        "It is not on the largest component; leave it out, or take the ambient energy."
-    )
-    names = landmarks.names
-    return check_landmarks("source_landmarks", piece.cloud, x, names, hint)
 
 
 def _of_pairs(value: Numbers | None, index: list[int]) -> np.ndarray | None:

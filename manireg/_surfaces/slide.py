@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from .._input.numbers import Numbers, as_numbers
 from ..manifolds import PointCloud
 from ..manifolds._scans.surface import SurfaceLike
-from .checked_pair import loaded
+from .given import given_surface
 from .orientation import normals_at
 from .procrustes import procrustes
 
@@ -222,7 +222,7 @@ def _clouds(scans, k: int) -> list[PointCloud | None]:
     several = list(scans) if isinstance(scans, list | tuple) else [scans]
     if len(several) != k:
         raise ValueError(f"scans: expected {k}, one a specimen, found {len(several)}.")
-    return [loaded(f"scans[{i}]", a).cloud for i, a in enumerate(several)]
+    return [given_surface(f"scans[{i}]", a).cloud for i, a in enumerate(several)]
 
 
 def _numbers(name: str, given, shape, n: int) -> Int[np.ndarray, "..."]:

@@ -26,7 +26,7 @@ def warn_of_suspects(
     """In one warning, what landmarks x and their partners y say of each other."""
     told = suspects(x, y, names)
     if told:
-        warnings.warn(f"landmarks: {'; '.join(told)}.", stacklevel=3)
+        warnings.warn(f"landmarks: {'; '.join(told)}.", stacklevel=4)
 
 
 def suspects(x, y, names) -> list[str]:

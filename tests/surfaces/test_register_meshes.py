@@ -173,8 +173,8 @@ def test_command(clean, tmp_path, form):
 
 def test_command_with_landmark_files(clean, tmp_path):
     """A file a surface, in the orders and formats of two programs."""
-    write_mesh(mesh(V), tmp_path / "ball.ply")
-    write_mesh(mesh(W), tmp_path / "bent.ply")
+    write_mesh(mesh(V), tmp_path / "ball.obj")
+    write_mesh(mesh(W), tmp_path / "bent.obj")
     rows = [f"p{i},{i}" for i in LANDMARKS]
     (tmp_path / "a.csv").write_text("\n".join(["name,vertex", *rows, "extra,1"]))
     points = [
@@ -185,14 +185,14 @@ def test_command_with_landmark_files(clean, tmp_path):
         f"<PickedPoints>{''.join(points[::-1])}</PickedPoints>"
     )
     arguments = [
-        "register", tmp_path / "ball.ply", tmp_path / "bent.ply",
+        "register", tmp_path / "ball.obj", tmp_path / "bent.obj",
         "--landmarks", tmp_path / "a.csv", "--target-landmarks", tmp_path / "b.pp",
         "--out", tmp_path / "out.ply", "--lam", 1e-3, "--centres", 20,
     ]  # fmt: skip
     run = CliRunner().invoke(app, [str(a) for a in arguments])
     assert run.exit_code == 0, run.output
     assert "21 pairs; left out are those only on the source: 'extra'" in run.output
-    assert "bent.ply: 162 vertices, 320 triangles, extent " in run.output
+    assert "bent.obj: 162 vertices, 320 triangles, extent " in run.output
     found = read_mesh(tmp_path / "out.ply")
     np.testing.assert_allclose(found.vertices, clean.vertices, atol=1e-5)
 
