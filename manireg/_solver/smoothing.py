@@ -97,13 +97,11 @@ class Mixture(NamedTuple):
         shares = np.cumsum([part.share for part in self.parts])
         owner = np.searchsorted(shares[:-1], uniform)
         place = np.argsort(owner, kind="stable")
-        keys, counts = jax.random.split(key, len(self.parts)), np.bincount(owner)
-        parts = zip(
-            self.parts, keys, counts, strict=False
-        )  # of the last ones none, maybe
+        keys = jax.random.split(key, len(self.parts))
+        counts = np.bincount(owner, minlength=len(self.parts))
+        parts = zip(self.parts, keys, counts, strict=True)
         drawn = [part.draws(own, int(n)) for part, own, n in parts if n]
-        found = np.concatenate(drawn)
-        return found[np.argsort(place)]
+        return np.concatenate(drawn)[np.argsort(place)]
 
 
 def mixture_of(problem: Problem, found: AtMinimum, smoothing: Smoothing) -> Mixture:
@@ -123,6 +121,7 @@ def mixture_of(problem: Problem, found: AtMinimum, smoothing: Smoothing) -> Mixt
     if smoothing != "known":
         variance, slope = lambda_error(problem, found)
     flat = variance > FLAT_VARIANCE and problem.source.dim == 1 and not latent
+    flat &= math.isfinite(found.spread.variance)  # not of a map through all its data
     if smoothing == "grid" or smoothing == "auto" and flat:
         return _over_lambdas(problem, found, math.sqrt(variance))
     information = ModelInformation.of(found)
