@@ -34,7 +34,7 @@ def onto_folder(
         template,
         folder,
         of_scans,
-        out.with_suffix(""),
+        out.with_suffix("") if out.suffix.lower() == ".ply" else out,
         lam,
         template_landmarks=None if landmarks.is_dir() else landmarks,
         transfer=transfer,

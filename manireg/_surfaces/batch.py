@@ -66,7 +66,7 @@ def register_folder(
 
     - `template`: file of the mesh whose triangles all results have.
     - `folder`: of the scans; the template itself may be among them.
-    - `landmarks`: folder of files that `read_landmarks` reads, with the names of the scans.
+    - `landmarks`: folder of files for `read_landmarks`, with the names of the scans.
     - `out`: folder of the results, made if it is not there.
     - `lam`: as in `register`, and so are other `options` (`geometry`, `centres`, ...).
     - `template_landmarks`: default the file in `landmarks` with the name of the template.
@@ -96,7 +96,8 @@ def register_folder(
     for number, scan in enumerate(mine, 1):
         line = f"{number} of {len(mine)}: {scan.name}"
         tell(f"{line}: {_one(given, scan, out, lam, options)}")
-    return _collect(out, todo, given.surface)
+    marks = {scan.name: _mark(given, scan, lam, options) for scan in todo}
+    return _collect(out, marks, given.surface)
 
 
 def _template(path: Path, landmarks: Path, of_template, transfer) -> Template:
@@ -133,9 +134,8 @@ def _one(template: Template, scan: Scan, out: Path, lam, options) -> str:
     try:
         if scan.landmarks is None:
             raise ValueError(f"there are no landmarks called {scan.name!r}.")
-        files = [*template.files, scan.mesh, scan.landmarks]
-        mark = fingerprint(files, VERSION, lam, sorted(options.items()))
-        if _mark(kept) == mark:
+        mark = _mark(template, scan, lam, options)
+        if _kept_mark(kept) == mark:
             return "done before"
         start = time.perf_counter()
         with warnings.catch_warnings(record=True) as said:
@@ -157,7 +157,7 @@ def _one(template: Template, scan: Scan, out: Path, lam, options) -> str:
         with whole(kept) as path:
             np.savez(path, vertices=found.vertices, row=json.dumps(row), mark=mark)
         failed.unlink(missing_ok=True)
-    except (ValueError, RuntimeError, OSError, MemoryError) as error:
+    except Exception as error:  # of any file that is not what it should be
         message = " ".join(str(error).split()) or type(error).__name__
         kept.unlink(missing_ok=True)
         with whole(failed) as path:
@@ -166,7 +166,13 @@ def _one(template: Template, scan: Scan, out: Path, lam, options) -> str:
     return f"landmark error {row['landmark_error']:.3g}, {row['seconds']:.0f} s"
 
 
-def _mark(kept: Path) -> str | None:
+def _mark(template: Template, scan: Scan, lam, options) -> str:
+    marks = [] if scan.landmarks is None else [scan.landmarks]
+    files = [*template.files, scan.mesh, *marks]
+    return fingerprint(files, VERSION, lam, sorted(options.items()))
+
+
+def _kept_mark(kept: Path) -> str | None:
     if not kept.is_file():
         return None
     with np.load(kept) as found:
@@ -201,23 +207,22 @@ def _quality(found: Registration, seconds: float) -> dict[str, Any]:
     }
 
 
-def _collect(out: Path, scans: list[Scan], template: Surface) -> Batch:
-    """From what is there of all shards."""
+def _collect(out: Path, marks: dict[str, str], template: Surface) -> Batch:
+    """From what is there of all shards, with the marks of this call."""
     import pandas  # slow to import
 
     rows, vertices, failed, waiting = [], {}, {}, []
-    for scan in scans:
-        kept = out / "scans" / f"{scan.name}.npz"
-        bad = kept.with_suffix(".txt")
-        if kept.is_file():
+    for name, mark in marks.items():
+        kept, bad = (out / "scans" / f"{name}.{end}" for end in ("npz", "txt"))
+        if _kept_mark(kept) == mark:
             with np.load(kept) as found:
-                vertices[scan.name] = found["vertices"]
-                rows.append({"scan": scan.name, **json.loads(str(found["row"]))})
+                vertices[name] = found["vertices"]
+                rows.append({"scan": name, **json.loads(str(found["row"]))})
         elif bad.is_file():
-            failed[scan.name] = bad.read_text()
-            rows.append({"scan": scan.name, "error": failed[scan.name]})
+            failed[name] = bad.read_text()
+            rows.append({"scan": name, "error": failed[name]})
         else:
-            waiting.append(scan.name)
+            waiting.append(name)
     with whole(out / "quality.csv") as path:
         pandas.DataFrame(rows).to_csv(path, index=False)
     if vertices:

@@ -26,8 +26,8 @@ class ShapeSpace(NamedTuple):
 
 
 def shape_space(shapes: Float[np.ndarray, "n V 3"]) -> ShapeSpace:
-    r"""`aligned` is `mean` plus `scores` times `components`. Rotations have no reflections;
-    the first shape gives the direction of the mean."""
+    """`aligned` is `mean` plus `scores` times `components`. Rotations have no
+    reflections; the first shape gives the direction of the mean."""
     centred = shapes - shapes.mean(axis=1, keepdims=True)
     sizes = np.linalg.norm(centred, axis=(1, 2))
     if not np.all(sizes > 0):
