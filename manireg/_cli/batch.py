@@ -16,12 +16,10 @@ def onto_folder(
     landmarks: Path,
     target_landmarks: Path | None,
     out: Path,
-    lam: float | None,
-    transfer: Path | None,
     shard: str,
     **options,
-) -> None:
-    """Ends with status 1 if scans were passed over."""
+) -> bool:
+    """Whether no scan was passed over."""
     part = re.fullmatch(r"(\d+)/(\d+)", shard)
     if part is None:
         raise ValueError(f"--shard: expected for instance 3/16, found {shard!r}.")
@@ -35,9 +33,7 @@ def onto_folder(
         folder,
         of_scans,
         out.with_suffix("") if out.suffix.lower() == ".ply" else out,
-        lam,
         template_landmarks=None if landmarks.is_dir() else landmarks,
-        transfer=transfer,
         shard=(int(part[1]), int(part[2])),
         tell=typer.echo,
         **options,
@@ -51,5 +47,4 @@ def onto_folder(
         batch.out / name for name in ("quality.csv", "vertices.npz", "shapes.npz")
     ]
     print_rows(rows, [path for path in written if path.is_file()])
-    if batch.failed:
-        raise typer.Exit(1)
+    return not batch.failed

@@ -88,14 +88,14 @@ def register(
     folders of meshes and of landmark files of the same names. A call that was killed goes
     on where it was; `--shard` is for job arrays.
     """
+    if target.is_dir():
+        options = {"geometry": geometry, "centres": centres, "tension": tension}
+        options |= {"lam": lam, "transfer": transfer}
+        with clean_errors():
+            files = source, target, landmarks, target_landmarks, out
+            whole = onto_folder(*files, shard, **options)
+        raise typer.Exit(0 if whole else 1)
     with clean_errors():
-        if target.is_dir():
-            options = {"geometry": geometry, "centres": centres, "tension": tension}
-            onto_folder(
-                source, target, landmarks, target_landmarks, out, lam, transfer, shard,
-                **options,
-            )  # fmt: skip
-            return
         if transfer is not None or shard != "1/1":
             raise ValueError("--transfer, --shard: only for a folder of targets.")
         check_written(picture, out)

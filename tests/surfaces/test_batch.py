@@ -62,7 +62,7 @@ def test_scans_that_fail(folders):
     assert "no landmarks called 'unmarked'" in found.failed["unmarked"]
     assert "cannot load" in found.failed["broken"]
     assert said[0].startswith("1 of 2: broken: failed. ")
-    table = pandas.read_csv(folders[3] / "quality.csv")
+    table = pandas.read_csv(out / "quality.csv")
     assert list(table.scan) == ["broken", "unmarked"] and table.error.notna().all()
 
 
@@ -124,7 +124,8 @@ def test_folder(folders, tmp_path, monkeypatch):
     before = first.stat().st_mtime_ns
     assert not (out / "vertices.npz").exists()
     one = mr.register_folder(template, scans, marks, out, 1e-4, shard=(1, 2), **options)
-    assert set(one.waiting) == {"scan4"} and "scan3" not in one.failed
+    assert one.done == ("scan1", "scan2", "scan4")
+    assert one.waiting == ("scan3", "unmarked") and set(one.failed) == {"broken"}
     found = mr.register_folder(
         template, scans, marks, out, 1e-4, shard=(2, 2), **options
     )
@@ -145,7 +146,7 @@ def test_folder(folders, tmp_path, monkeypatch):
         np.testing.assert_allclose(written.vertices, vertex, atol=1e-6)
         np.testing.assert_array_equal(written.faces, F)
         carried = mr.read_landmarks(out / "points" / f"scan{k}.fcsv")
-        assert carried.names == ("q5", "q6", "q7")[:0] + ("q0", "q1", "q2")
+        assert carried.names == ("q0", "q1", "q2") and carried.system == "RAS"
         np.testing.assert_allclose(carried.positions, vertex[5:8], atol=1e-3)
     table = pandas.read_csv(out / "quality.csv").set_index("scan")
     assert (table.landmarks[list(found.done)] == len(NUMBERS)).all()
@@ -157,4 +158,4 @@ def test_folder(folders, tmp_path, monkeypatch):
     again = mr.register_folder(
         template, scans, marks, out, 1e-4, shard=(2, 2), **options
     )
-    assert "scan2" in again.waiting and "scan1" in again.done
+    assert again.done == ("scan1", "scan3") and again.waiting == ("scan2", "scan4")

@@ -14,7 +14,7 @@ BASE = RNG.normal(size=(40, 3))
 def moved(shapes):
     """Each elsewhere, turned, of another size."""
     n = len(shapes)
-    turned = np.einsum("nvi,nji->nvj", shapes, Rotation.random(n, rng=1).as_matrix())
+    turned = np.einsum("nvi,nji->nvj", shapes, Rotation.random(n, rng=RNG).as_matrix())
     size = RNG.uniform(0.3, 3.0, (n, 1, 1))
     return size * turned + 10 * RNG.normal(size=(n, 1, 3))
 
