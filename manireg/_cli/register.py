@@ -92,6 +92,8 @@ def register(
         options = {"geometry": geometry, "centres": centres, "tension": tension}
         options |= {"lam": lam, "transfer": transfer}
         with clean_errors():
+            if picture is not None or morph is not None:
+                raise ValueError("--picture, --morph: only for a single target.")
             files = source, target, landmarks, target_landmarks, out
             whole = onto_folder(*files, shard, **options)
         raise typer.Exit(0 if whole else 1)

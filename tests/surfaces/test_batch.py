@@ -1,6 +1,7 @@
 """One template onto a folder of scans."""
 
 import os
+from typing import Any
 
 import numpy as np
 import pandas
@@ -16,7 +17,7 @@ from manireg._surfaces.batch_files import scans_in, shard_of, whole
 from manireg.meshes import read_mesh, write_mesh
 
 NUMBERS = np.arange(0, 162, 8)
-OPTIONS = {"centres": 20, "tell": lambda line: None}
+OPTIONS: dict[str, Any] = {"centres": 20, "tell": lambda line: None}
 
 
 def bent(k: int) -> np.ndarray:
@@ -54,10 +55,8 @@ def only_bad(folders):
 
 
 def test_scans_that_fail(folders):
-    said = []
-    found = mr.register_folder(
-        *folders[:1], *only_bad(folders)[1:], folders[3], tell=said.append
-    )
+    said, out = [], folders[3]
+    found = mr.register_folder(*only_bad(folders), out, tell=said.append)
     assert found.done == () and set(found.failed) == {"broken", "unmarked"}
     assert "no landmarks called 'unmarked'" in found.failed["unmarked"]
     assert "cannot load" in found.failed["broken"]
@@ -73,6 +72,8 @@ def test_command_of_scans_that_fail(folders):
     assert run.exit_code == 1 and "passed over  broken, unmarked" in run.output
     run = CliRunner().invoke(app, [*map(str, arguments), "--shard", "3 of 4"])
     assert run.exit_code == 2 and "expected for instance 3/16" in run.output
+    run = CliRunner().invoke(app, [*map(str, arguments), "--morph", "0.5"])
+    assert run.exit_code == 2 and "--morph: only for a single target" in run.output
     run = CliRunner().invoke(app, [*map(str, arguments), "--shard", "5/4"])
     assert run.exit_code == 2 and "1 <= k <= n, found 5 of 4" in run.output
 
@@ -110,7 +111,7 @@ def test_folder(folders, tmp_path, monkeypatch):
         for i, (x, y, z) in enumerate(W[5:8].tolist())
     ]
     points.write_text("\n".join(["# CoordinateSystem = RAS", *rows]))
-    options = {**OPTIONS, "transfer": points}
+    options: Any = {**OPTIONS, "transfer": points}
 
     def killed(line):
         if "scan2" in line:
@@ -147,6 +148,7 @@ def test_folder(folders, tmp_path, monkeypatch):
         np.testing.assert_array_equal(written.faces, F)
         carried = mr.read_landmarks(out / "points" / f"scan{k}.fcsv")
         assert carried.names == ("q0", "q1", "q2") and carried.system == "RAS"
+        assert carried.positions is not None
         np.testing.assert_allclose(carried.positions, vertex[5:8], atol=1e-3)
     table = pandas.read_csv(out / "quality.csv").set_index("scan")
     assert (table.landmarks[list(found.done)] == len(NUMBERS)).all()
