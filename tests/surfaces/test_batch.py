@@ -34,7 +34,8 @@ def folders(tmp_path):
     """A template, four scans, and two that fail: without landmarks, and without a mesh in
     the file."""
     scans, marks = tmp_path / "scans", tmp_path / "marks"
-    scans.mkdir(), marks.mkdir()
+    for folder in (scans, marks):
+        folder.mkdir()
     write_mesh(trimesh.Trimesh(W, F, process=False), scans / "mean.obj")
     (marks / "mean.csv").write_text(landmarks(W[NUMBERS]))
     for k in range(1, 5):
