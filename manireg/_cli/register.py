@@ -13,6 +13,7 @@ import manireg as mr
 from .. import plot
 from ..datasets._text_tables import read_text_table
 from ..meshes import write_mesh
+from .batch import onto_folder
 from .certificate import check_report, write_report
 from .columns import has, numbers
 from .errors import check_written, clean_errors
@@ -21,7 +22,9 @@ from .report import print_rows
 
 def register(
     source: Annotated[Path, typer.Argument(help="Mesh: PLY, OBJ, STL, ...")],
-    target: Annotated[Path, typer.Argument(help="Mesh to map it onto.")],
+    target: Annotated[
+        Path, typer.Argument(help="Mesh to map it onto, or a folder of them.")
+    ],
     landmarks: Annotated[
         Path,
         typer.Option(
@@ -33,7 +36,7 @@ def register(
     ],
     target_landmarks: Annotated[
         Path | None,
-        typer.Option(help="Of the target, matched by name."),
+        typer.Option(help="Of the target, matched by name; or a folder of them."),
     ] = None,
     out: Annotated[
         Path, typer.Option(help="The registered mesh: source triangles on the target.")
@@ -97,6 +100,15 @@ def register(
             help="Of the ambient energy; 0 where surfaces bend far. Several: as above.",
         ),
     ] = [1.0],
+    transfer: Annotated[
+        Path | None,
+        typer.Option(
+            help="With a folder: points of the source to carry to every scan."
+        ),
+    ] = None,
+    shard: Annotated[
+        str, typer.Option(help="With a folder: `3/16` does the third of 16 parts.")
+    ] = "1/1",
 ) -> None:
     """Map one scanned surface onto another from a few landmarks.
 
@@ -104,8 +116,28 @@ def register(
     --target-landmarks anna.mrk.json --picture anna.png --morph 0.5`. Every vertex of the
     source gets its place on the target. Meshes of 20,000 vertices take some minutes, most
     of them for the choice of lambda.
+
+    Onto many: `manireg register mean.ply scans --landmarks landmarks --out results`, with
+    folders of meshes and of landmark files of the same names. A call that was killed goes
+    on where it was; `--shard` is for job arrays.
     """
+    if target.is_dir():
+        options = {"geometry": geometry, "centres": centres, "tension": tension}
+        options |= {"lam": lam, "transfer": transfer}
+        options |= {"surface": surface, "no_folds": no_folds}
+        with clean_errors():
+            alone = picture, morph, report, page
+            if inverse or any(option is not None for option in alone):
+                raise ValueError(
+                    "--picture, --morph, --report, --page, --inverse: only for a single "
+                    "target."
+                )
+            files = source, target, landmarks, target_landmarks, out
+            whole = onto_folder(*files, shard, **options)
+        raise typer.Exit(0 if whole else 1)
     with clean_errors():
+        if transfer is not None or shard != "1/1":
+            raise ValueError("--transfer, --shard: only for a folder of targets.")
         check_written(picture, out)
         check_report(report, page, inverse)
         if target_landmarks is None:

@@ -1,44 +1,53 @@
-"""Landmarks of several specimens without their position, size and rotation."""
+"""Points of several specimens without their position, size and rotation."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import orthogonal_procrustes
 
-ROUNDS = 100
+MOST = 100  # rounds
 SETTLED = 1e-10  # change of the mean, of size 1
 
 
 class Procrustes(NamedTuple):
+    """Specimens after generalised Procrustes analysis (Gower 1975), turned like the
+    first of them."""
+
+    aligned: Float[np.ndarray, "k n s"]
+    """Centred, of the mean size."""
+    sizes: Float[np.ndarray, " k"]
+    """Centroid sizes: roots of the summed squared distances from the centroid."""
     mean: Float[np.ndarray, "n s"]
-    """Of the mean size of the specimens, turned like the first."""
+    """Of the mean size, too."""
     spread: float
     """Sum of squared distances to the mean, of specimens of size 1."""
 
 
-def procrustes(landmarks: Float[np.ndarray, "k n s"]) -> Procrustes:
-    """Generalised Procrustes analysis (Gower 1975): specimens are centred, scaled to size
-    1 (the root of the sum of squares) and turned towards their mean, never reflected."""
-    x = landmarks - landmarks.mean(axis=1, keepdims=True)
+def procrustes(specimens: Float[np.ndarray, "k n s"]) -> Procrustes:
+    """Specimens are centred, scaled and turned towards their mean, never reflected.
+
+    **Raises** ValueError where all points of one are at one place."""
+    x = specimens - specimens.mean(axis=1, keepdims=True)
     sizes = np.linalg.norm(x, axis=(1, 2))
+    if not np.all(sizes > 0):
+        raise ValueError(f"shapes: all points of {np.argmin(sizes)} are at one place.")
     x = x / sizes[:, None, None]
     mean = x[0]
-    for _ in range(ROUNDS):
-        last = mean
-        mean = np.mean([a @ _rotation(a, last) for a in x], axis=0)
-        mean /= np.linalg.norm(mean)
+    for _ in range(MOST):
+        last, mean = mean, np.mean(x @ _rotations(x, mean), axis=0)
+        mean = mean / np.linalg.norm(mean)
         if np.linalg.norm(mean - last) <= SETTLED:
             break
-    spread = sum(np.sum((a @ _rotation(a, mean) - mean) ** 2) for a in x)
-    return Procrustes(mean @ _rotation(mean, x[0]) * sizes.mean(), float(spread))
+    (turn,), size = _rotations(mean[None], x[0]), sizes.mean()
+    mean = mean @ turn
+    aligned = x @ _rotations(x, mean)
+    spread = float(np.sum((aligned - mean) ** 2))
+    return Procrustes(size * aligned, sizes, size * mean, spread)
 
 
-def _rotation(a, b) -> Float[np.ndarray, "s s"]:
-    """That brings a next to b."""
-    best, _ = orthogonal_procrustes(a, b)
-    if np.linalg.det(best) > 0:
-        return best
-    u, _, vt = np.linalg.svd(a.T @ b)
-    u[:, -1] *= -1
+def _rotations(x, b) -> Float[np.ndarray, "k s s"]:
+    """That bring each of x closest to b, from the right (Kabsch 1976)."""
+    u, _, vt = np.linalg.svd(np.einsum("kni,nj->kij", x, b))
+    hand = np.linalg.det(u @ vt) < 0
+    u[hand, :, -1] *= -1
     return u @ vt

@@ -106,9 +106,7 @@ class PointCloud(AbstractManifold):
         for those that no triangle uses; where triangles end, vertices at one place (at
         seams of a texture) are one point. `.of_vertex` has the point of each vertex, for
         one that no triangle uses the nearest. Normals are means over the angles around a
-        point, areas a third of the triangles around it. The triangles say which points
-        are next to each other, at whatever size and distance from the origin. Options go
-        to `PointCloud`.
+        point, areas a third of the triangles around it. Options go to `PointCloud`.
 
         **Warns** (UserWarning) of repairs that may change results: components left out,
         triangles turned, vertices of NaN.
