@@ -74,7 +74,7 @@ def test_command_of_scans_that_fail(folders):
     run = CliRunner().invoke(app, [*map(str, arguments), "--shard", "3 of 4"])
     assert run.exit_code == 2 and "expected for instance 3/16" in run.output
     run = CliRunner().invoke(app, [*map(str, arguments), "--morph", "0.5"])
-    assert run.exit_code == 2 and "--morph: only for a single target" in run.output
+    assert run.exit_code == 2 and "only for a single target" in run.output
     run = CliRunner().invoke(app, [*map(str, arguments), "--shard", "5/4"])
     assert run.exit_code == 2 and "1 <= k <= n, found 5 of 4" in run.output
 
