@@ -8,7 +8,8 @@ from jaxtyping import Float, Int
 from .._selection.choice import CrossValidation
 from .._solver.model import RegressionMap
 from ..manifolds._scans.surface import Surface
-from .certificate import Certificate, certificate_of
+from .certificate import Certificate
+from .certify import certificate_of
 
 
 class Registration(eqx.Module):
