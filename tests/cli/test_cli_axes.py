@@ -27,7 +27,7 @@ class Line(eqx.Module):
     lam = jnp.asarray(0.1 + 0.2)
     energies = types.SimpleNamespace(loss=0.0, energy=0.0, off_manifold=0.0)
 
-    def posterior(self):
+    def posterior(self, smoothing="auto"):
         one = lambda x: np.ones((len(x), 1, 1))
         both = lambda x: (one(x), one(x))
         return types.SimpleNamespace(covariance=both, scale=1.0)
