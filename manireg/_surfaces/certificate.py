@@ -36,7 +36,7 @@ class Certificate(eqx.Module):
     through nearly all data their own residuals say nothing). Too short where a lambda is
     given that is far larger than the one that predicts landmarks best: what it smooths
     away is not in it. Of a map fitted to the whole target (`surface=True`) the posterior
-    given the last matches, times 2.3 (faces 1 to 7 of SIMPOP): errors of matches hang
+    given the last matches, times 4.1 (faces 1 to 7 of SIMPOP): errors of matches hang
     together. None for a map without its problem."""
     to_target: Float[np.ndarray, " n"]
     """Distance of each vertex to the target's triangles (or patches, of a cloud)."""

@@ -153,9 +153,9 @@ def test_files(registered, tmp_path):
 @pytest.mark.slow
 def test_of_point_clouds_and_of_another_inverse(registered):
     found, report = registered
-    bare = lambda surface: surface._replace(faces=None)
+    bare = lambda surface: dataclasses.replace(surface, faces=None)
     alone = dataclasses.replace(
-        found, faces=None, source=bare(found.source), target=bare(found.target)
+        found, source=bare(found.source), target=bare(found.target)
     ).report()
     assert alone.agreement is None and len(alone.folded) == 0
     np.testing.assert_allclose(alone.to_target, 0, atol=1e-9)  # on the patches
@@ -168,6 +168,7 @@ def test_of_point_clouds_and_of_another_inverse(registered):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:landmarks. '12' and '13' seem to be swapped")
 def test_lambda_rises_until_nothing_folds():
     """Two landmarks that are exchanged: maps through them fold."""
     swapped = LANDMARKS.copy()
