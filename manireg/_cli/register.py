@@ -3,7 +3,7 @@
 import time
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import typer
@@ -18,6 +18,8 @@ from .certificate import check_report, write_report
 from .columns import has, numbers
 from .errors import check_written, clean_errors
 from .report import print_rows
+
+WITH_SURFACE = {"yes": True, "no": False, "auto": "auto"}
 
 
 def register(
@@ -66,13 +68,13 @@ def register(
         ),
     ] = False,
     surface: Annotated[
-        bool,
+        Literal["yes", "no", "auto"],
         typer.Option(
-            "--surface",
-            help="Go on from the landmarks to the whole target, by places that are near "
-            "in position and normal.",
+            help="`yes`: go on from the landmarks to the whole target, by places that are "
+            "near in position and normal. `auto`: where that predicts left-out landmarks "
+            "better."
         ),
-    ] = False,
+    ] = "no",
     no_folds: Annotated[
         bool,
         typer.Option(
@@ -121,10 +123,11 @@ def register(
     folders of meshes and of landmark files of the same names. A call that was killed goes
     on where it was; `--shard` is for job arrays.
     """
+    rounds = WITH_SURFACE[surface]
     if target.is_dir():
         options = {"geometry": geometry, "centres": centres, "tension": tension}
         options |= {"lam": lam, "transfer": transfer}
-        options |= {"surface": surface, "no_folds": no_folds}
+        options |= {"surface": rounds, "no_folds": no_folds}
         with clean_errors():
             alone = picture, morph, report, page
             if inverse or any(option is not None for option in alone):
@@ -154,7 +157,7 @@ def register(
             geometry=geometry,
             centres=centres,
             tension=tension,
-            surface=surface,
+            surface=rounds,
             no_folds=no_folds,
         )
         found = fit(surfaces[0], surfaces[1], ours, theirs)
@@ -172,6 +175,12 @@ def register(
         if found.cv is not None:
             rows["lambda"] = f"{float(found.cv.lam):.3g} (landmarks left out)"
             rows["error of a left-out landmark"] = f"{float(found.cv.score):.3g}"
+        if found.held_out is not None:
+            alone, whole = (float(e.mean()) for e in found.held_out[:2])
+            kept = "the surface" if found.held_out.surface_is_better else "landmarks"
+            rows["left out in fifths"] = (
+                f"{alone:.3g} by landmarks, {whole:.3g} by the surface: {kept} kept"
+            )
         errors = found.landmark_errors
         worst = found.landmark_names[errors.argmax()]
         rows["landmark errors"] = (

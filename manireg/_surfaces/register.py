@@ -1,32 +1,24 @@
 """Dense correspondence between two scanned surfaces from a few landmarks."""
 
-import itertools
 import warnings
 from collections.abc import Sequence
 from functools import partial
 
-import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import ScalarLike
 
 from .._input.numbers import Numbers, as_numbers
 from .._input.precision import check_x64
-from .._objective.make_problem import make_problem, with_tension
-from .._objective.problem import Problem
-from .._objective.wavelengths import lambda_of_wavelength, mean_spacing
 from .._programs.sizes import power_of_four
-from .._selection.choice import CrossValidation
-from .._selection.leave_one_out import leave_one_out
 from .._selection.one_fit import RTOL
-from .._solver.evaluation import evaluate
 from .._solver.model import RegressionMap
 from .._solver.solve import solve
-from .._sources.sources import Ambient
-from ..manifolds import PointCloud
 from ..manifolds._scans.surface import SurfaceLike
 from .folds import agreement, without_folds
 from .given import given_surface, on_piece, one_piece
+from .held_out import check_enough, held_out
+from .landmark_fit import Scans, choices_of, landmark_fit, unprojected
 from .landmark_pairs import landmark_pairs
 from .landmarks import LandmarksLike
 from .registration import Registration
@@ -47,7 +39,7 @@ def register(
     geometry: str | Sequence[str] = "ambient",
     centres: int | Sequence[int] = 400,
     tension: float | Sequence[float] = 1.0,
-    surface: bool = False,
+    surface: bool | str = False,
     no_folds: bool = False,
     progress: bool = True,
 ) -> Registration:
@@ -82,12 +74,13 @@ def register(
     - `surface`: True: after the landmarks, the whole target. Sixty rounds match places of
       the two surfaces that are near in position and normal, both ways, and move the source
       towards its matches by smooth steps, large parts first (see `match_weights`). On
-      faces that was two to three times as accurate as landmarks alone, with few vertices
-      or few features it gains nothing, and it can lose: hold out landmarks to see. Lambda
-      is then not chosen by leaving out but set to follow landmarks as far as they are
-      apart, unless it is given or there are several of what follows below; geometry and
-      tension are those of the start.
-
+      faces that was two to three times as accurate as landmarks alone; with few vertices
+      or few features it gains nothing, and it can lose. `"auto"`: landmarks are left out,
+      a fifth at a time, and predicted with and without the rounds; what predicts them
+      better is kept, and `held_out` has the errors (at least 8 landmarks; five times as
+      slow). With True, lambda is not chosen by leaving out but set to follow landmarks as
+      far as they are apart, unless it is given or there are several of what follows below;
+      geometry and tension are those of the start.
     - `no_folds`: True: where triangles come out folded over, lambda is raised (above the
       one chosen) until none is. A warning says how many are left where that ends in none
       without, as on targets thinner than the landmarks are precise.
@@ -113,73 +106,60 @@ def register(
     `read_landmarks` reject; RuntimeError for a fit that ends in NaN.
     """
     check_x64()
-    choices = _choices(geometry, centres, tension)
+    if surface not in (True, False, "auto"):
+        raise ValueError(f"surface: expected True, False or 'auto', found {surface!r}.")
+    choices = choices_of(geometry, centres, tension)
     ours, theirs = given_surface("source", source), given_surface("target", target)
-    onto = theirs.cloud
     pairs = landmark_pairs(ours, theirs, source_landmarks, target_landmarks)
-    x, y = pairs.x, pairs.y
-    sigma, precision = (_of_pairs(a, pairs.numbers) for a in (sigma, precision))
+    if surface == "auto":
+        check_enough(len(pairs.y))
     pieces = {of: ours if of == "ambient" else one_piece(ours) for of, _ in choices}
-    places = {of: on_piece(piece, ours, x, pairs.names) for of, piece in pieces.items()}
-    padded = onto.padded(power_of_four(len(onto.points), least=FEWEST_POINTS))
-    several = sum(map(len, choices.values())) > 1
-    found: list[tuple[str, RegressionMap, CrossValidation | None]] = []
-    for (of, count), taus in choices.items():
-        cloud = pieces[of].cloud
-        problem = make_problem(
-            Ambient(cloud) if of == "ambient" else cloud,
-            padded,
-            places[of],
-            y,
-            sigma=sigma,
-            precision=precision,
-            centres=count,
-            degree=1,
-            graded=True,
-            tension=max(taus),
-        )
-        nothing = jnp.zeros((problem.pattern.size, 3))
-        if not evaluate(problem.basis, nothing, cloud.points, problem.origin)[1]:
-            raise ValueError(
-                "source: some vertices lie outside the support of every centre; take more "
-                "`centres`."
-            )
-        for tau in taus:
-            taut = problem if tau == max(taus) else with_tension(problem, tau)
-            if several or (lam is None and not surface):
-                lams = None if lam is None else jnp.atleast_1d(lam)
-                cv = leave_one_out(taut, lams, progress=progress)
-                found.append((of, cv.model, cv))
-            else:
-                at = _following(taut) if lam is None else lam
-                model = solve(taut, at, starts=(1.0,), rtol=RTOL, throw=False)
-                found.append((of, model, None))
-    of, model, cv = min(found, key=lambda fit: _predicted_error(fit[2]))
-    _check_result(model)
-    piece, at = pieces[of], places[of]
-    fits = partial(_landmarks_alone, model)
-    if surface:
-        most = max(count for _, count in choices)
-        psi = _psi(model, piece.cloud)
+    onto = theirs.cloud
+    scans = Scans(
+        pieces,
+        {
+            of: on_piece(piece, ours, pairs.x, pairs.names)
+            for of, piece in pieces.items()
+        },
+        onto,
+        onto.padded(power_of_four(len(onto.points), least=FEWEST_POINTS)),
+        pairs.y,
+        *(_of_pairs(a, pairs.numbers) for a in (sigma, precision)),
+    )
+    leave_out = lam is None and surface is not True
+    start = landmark_fit(scans, choices, lam, leave_out, progress)
+    _check_result(start.model)
+    most = max(count for _, count in choices)
+    tried = held_out(scans, start, most, progress) if surface == "auto" else None
+    piece, at = scans.pieces[start.geometry], scans.x[start.geometry]
+    fits = partial(_landmarks_alone, start.model)
+    if surface is True or (tried is not None and tried.surface_is_better):
+        psi = unprojected(start.model, piece.cloud)
         fits = lambda stiffer, _: fit_surface(
-            piece.cloud, onto, padded, at, y, psi, most, progress, stiffer
+            piece.cloud, onto, scans.padded, at, pairs.y, psi, most, progress, stiffer
         )
     fit, left = fits(1.0, None), 0
-    image = lambda model: np.asarray(padded.project(_psi(model, piece.cloud)))[
-        piece.of_vertex
-    ]
+    image = lambda model: np.asarray(
+        scans.padded.project(unprojected(model, piece.cloud))
+    )[piece.of_vertex]
     if no_folds and piece.faces is not None:
         faces = piece.faces
         turned = lambda fit: agreement(image(fit.model), faces, onto) < 0
         fit, left = without_folds(fit, lambda fit: int(np.sum(turned(fit))), fits)
     if left:
         _warn_of_folds(left)
-    errors = np.linalg.norm(np.asarray(fit.model(at)) - y, axis=1)
     weights = fit.match_weights
-    weights = None if weights is None else weights[piece.of_vertex]
-    vertices = image(fit.model)
-    known = piece, theirs, pairs.names
-    return Registration(vertices, fit.model, cv, errors, weights, *known)
+    return Registration(
+        vertices=image(fit.model),
+        model=fit.model,
+        cv=start.cv,
+        landmark_errors=np.linalg.norm(np.asarray(fit.model(at)) - pairs.y, axis=1),
+        match_weights=None if weights is None else weights[piece.of_vertex],
+        source=piece,
+        target=theirs,
+        held_out=tried,
+        landmark_names=pairs.names,
+    )
 
 
 def _landmarks_alone(
@@ -191,15 +171,6 @@ def _landmarks_alone(
     warm = model.coefficients if near is None else near.model.coefficients
     options = {"starts": (), "warm": warm, "rtol": RTOL, "throw": False}
     return SurfaceFit(solve(model.problem, stiffer * model.lam, **options), None)
-
-
-def _psi(model: RegressionMap, cloud: PointCloud) -> Float[Array, "n 3"]:
-    return evaluate(model.basis, model.coefficients, cloud.points, model.origin)[0]
-
-
-def _following(problem: Problem):
-    """The lambda at which waves as long as the landmarks are apart are still followed."""
-    return lambda_of_wavelength(problem, mean_spacing(problem))
 
 
 def _warn_of_folds(left: int) -> None:
@@ -235,24 +206,3 @@ def _check_result(model: RegressionMap) -> None:
             "`tension`; `.model.result` tells.",
             stacklevel=3,
         )
-
-
-def _choices(geometry, centres, tension) -> dict[tuple[str, int], tuple[float, ...]]:
-    """Tensions to be tried with each geometry and number of centres; the intrinsic energy
-    has none."""
-    wrong = [g for g in np.atleast_1d(geometry) if g not in ("ambient", "intrinsic")]
-    if wrong:
-        raise ValueError(
-            f"geometry: expected 'ambient' or 'intrinsic', found {str(wrong[0])!r}."
-        )
-    several = lambda value: (value,) if np.ndim(value) == 0 else tuple(value)
-    taus = {"ambient": tuple(dict.fromkeys(several(tension)))}
-    pairs = itertools.product(several(geometry), several(centres))
-    return {(of, n): taus.get(of, (0.0,)) for of, n in pairs}
-
-
-def _predicted_error(cv: CrossValidation | None) -> float:
-    """Of left-out landmarks; with nothing to choose, of no interest."""
-    if cv is None:
-        return 0.0
-    return float(cv.criterion[cv.chosen])

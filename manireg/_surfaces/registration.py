@@ -10,6 +10,7 @@ from .._solver.model import RegressionMap
 from ..manifolds._scans.surface import Surface
 from .certificate import Certificate
 from .certify import certificate_of
+from .held_out import HeldOut
 
 
 class Registration(eqx.Module):
@@ -26,10 +27,13 @@ class Registration(eqx.Module):
     landmark_errors: Float[np.ndarray, " l"]
     """Distances on the target between where the landmarks are sent and belong."""
     match_weights: Float[np.ndarray, " n"] | None
-    """With `surface=True`: how far each vertex has a match on the target, 1, or is an
-    outlier or beyond its edge, 0."""
+    """Of a map fitted to the whole target: how far each vertex has a match there, 1, or is
+    an outlier or beyond its edge, 0."""
     source: Surface
     target: Surface
+    held_out: HeldOut | None = None
+    """With `surface="auto"`: errors of landmarks left out, with and without the rest of
+    the surface."""
     landmark_names: tuple[str, ...] = eqx.field(static=True, default=())
     """Of the pairs fitted, in the order of `landmark_errors`."""
 

@@ -11,6 +11,7 @@ import manireg as mr
 from manireg._objective.make_problem import make_problem
 from manireg._objective.objective import objective
 from manireg._objective.sites import Stage
+from manireg._selection.folds import training_sets
 from manireg._solver.evaluation import evaluate
 from manireg._surfaces.linear_map import linear_map
 
@@ -139,3 +140,35 @@ def test_what_goes_on_beyond_the_edge():
     back = mr.register(small, large, places, places, surface=True, progress=False)
     gap = np.linalg.norm(back.vertices - small.vertices, axis=1)
     assert np.mean(gap) < 0.01 and np.max(gap) < 0.05
+
+
+@pytest.mark.slow
+def test_auto_keeps_what_predicts_landmarks_left_out():
+    """Errors are those of registrations without these landmarks; the better is kept."""
+    p = np.asarray(BALL.vertices)
+    source = trimesh.Trimesh(bumps(p), BALL.faces, process=False)
+    truth = bend(bumps(p))
+    target = trimesh.Trimesh(truth, BALL.faces, process=False)
+    places = np.arange(10)
+    options = {"lam": 1e-3, "centres": 60, "progress": False}
+    found = mr.register(
+        source, target, places, truth[places], surface="auto", **options
+    )
+    tried = found.held_out
+    assert tried is not None
+    inside = training_sets(np.ones(10), 5, None)[0]
+    for surface, errors in ((False, tried.landmarks), (True, tried.surface)):
+        kept = places[inside]
+        without = mr.register(
+            source, target, kept, truth[kept], surface=surface, **options
+        )
+        out = places[~inside]
+        expected = np.linalg.norm(without.vertices[out] - truth[out], axis=1)
+        np.testing.assert_allclose(errors[~inside], expected, rtol=1e-6)
+    better = np.mean(tried.surface) < np.mean(tried.landmarks)
+    assert tried.surface_is_better == better
+    assert (found.match_weights is not None) == better
+    with pytest.raises(ValueError, match="needs 8 of them, found 6"):
+        mr.register(source, target, places[:6], truth[:6], surface="auto")
+    with pytest.raises(ValueError, match="'auto', found 'all'"):
+        mr.register(source, target, places, truth[places], surface="all")
