@@ -46,9 +46,7 @@ class CoherentDrift(NamedTuple):
         moved = []
         for block in np.array_split(x, 1 + len(x) // 5000):
             z = (block - self.centre) / self.unit
-            kernel = np.exp(
-                -cdist(z, self.places, "sqeuclidean") / (2 * self.beta**2)
-            )
+            kernel = np.exp(-cdist(z, self.places, "sqeuclidean") / (2 * self.beta**2))
             moved.append(self.centre + self.unit * (z + kernel @ self.weights))
         return np.concatenate(moved)
 

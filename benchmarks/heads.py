@@ -14,20 +14,26 @@ import argparse
 from _worker import add_options, start_worker
 from tqdm import tqdm
 
-DATA = ("ict", "makehuman")
+TARGETS = {
+    "ict": range(10),
+    "makehuman": range(10),
+    "ict_pairs": (0, 2, 4),
+    "makehuman_pairs": (0, 2, 4),
+}
 METHODS = (
     "affine", "rbf_r2logr", "rbf_r", "free_solution", "rkhs_warp", "nricp_sumner",
-    "nricp_amberg", "manireg_tension", "manireg_ambient", "manireg_intrinsic",
+    "nricp_amberg", "meshmonk", "manireg_tension", "manireg_ambient", "manireg_intrinsic",
+    "manireg_surface",
 )  # fmt: skip
 
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     add = parser.add_argument
-    add("--data", nargs="+", default=DATA, choices=DATA)
+    add("--data", nargs="+", default=tuple(TARGETS), choices=TARGETS)
     add("--landmarks", nargs="+", type=int, default=(55, 20), choices=(55, 20))
     add("--methods", nargs="+", default=METHODS, choices=METHODS)
-    add("--targets", nargs="+", type=int, default=range(10))
+    add("--targets", nargs="+", type=int)
     add_options(parser)
     return parser.parse_args()
 
@@ -55,7 +61,7 @@ def main() -> None:
             done = read_runs(options.out)
             missing = [
                 target
-                for target in options.targets
+                for target in options.targets or TARGETS[data]
                 if (data, landmarks, method, target) not in done
             ]
             if missing:

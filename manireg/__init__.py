@@ -56,6 +56,7 @@ from ._solver.summary import Summary as Summary
 from ._source import AbstractSource as AbstractSource, Chart as Chart
 from ._sources.circle import Circle as Circle
 from ._sources.sources import Ambient as Ambient, Box as Box, Interval as Interval
+from ._surfaces.align import align as align
 from ._surfaces.batch import Batch as Batch, register_folder as register_folder
 from ._surfaces.certificate import Certificate as Certificate
 from ._surfaces.landmarks import (

@@ -1,7 +1,9 @@
-"""The methods: each sends the source's vertices to the target, from landmarks alone."""
+"""The methods: each sends the source's vertices to the target; most from
+landmarks alone, the last of ours, MeshMonk and nricp from the whole target."""
 
 import numpy as np
 import trimesh
+from _peers import landmark_warp, meshmonk_pyramid
 from _rkhs_warp import rkhs_warp
 
 import manireg as mr
@@ -9,7 +11,7 @@ from manireg.datasets import HeadPair as Task
 
 
 def register(task: Task, geometry: str, **options) -> tuple[np.ndarray, float]:
-    """Positions, and the lambda that leave-one-out over the landmarks chose."""
+    """Positions and lambda, which leave-one-out over the landmarks chose."""
     found = mr.register(
         task.source,
         task.target,
@@ -18,8 +20,7 @@ def register(task: Task, geometry: str, **options) -> tuple[np.ndarray, float]:
         geometry=geometry,
         **options,
     )
-    assert found.cv is not None
-    return found.vertices, float(found.cv.lam)
+    return found.vertices, float(found.model.lam)
 
 
 def free_solution(task: Task) -> tuple[np.ndarray, float]:
@@ -84,6 +85,18 @@ def nricp(task: Task, variant: str) -> np.ndarray:
     return np.asarray(moved)
 
 
+def meshmonk(task: Task) -> np.ndarray:
+    """From the warp of the landmarks, with doubled vertices as one: it would do so itself
+    and forget which they were."""
+    source = mr.load_surface(task.source)
+    points, faces = source.cloud.points, source.cloud.triangles
+    warp = landmark_warp(
+        np.asarray(task.source.vertices)[task.source_landmarks], task.target_landmarks
+    )
+    found = meshmonk_pyramid(warp(points), np.asarray(faces), task.target)
+    return found[source.of_vertex]
+
+
 def _cloud(task: Task) -> mr.PointCloud:
     return mr.PointCloud.from_mesh(task.target)
 
@@ -97,6 +110,8 @@ METHODS = {
     "manireg_tension": lambda task: register(task, "ambient"),
     "manireg_ambient": lambda task: register(task, "ambient", tension=0.0),
     "manireg_intrinsic": lambda task: register(task, "intrinsic"),
+    "manireg_surface": lambda task: register(task, "ambient", surface=True),
+    "meshmonk": meshmonk,
     "nricp_sumner": lambda task: nricp(task, "sumner"),
     "nricp_amberg": lambda task: nricp(task, "amberg"),
 }

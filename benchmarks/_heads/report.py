@@ -14,11 +14,18 @@ NAMES = {
     "rkhs_warp": "RKHS warp after [12] + closest point",
     "nricp_sumner": "trimesh nricp_sumner",
     "nricp_amberg": "trimesh nricp_amberg",
+    "meshmonk": "MeshMonk, pyramid, from the RBF warp",
     "manireg_intrinsic": "**manireg, intrinsic Eells**",
     "manireg_ambient": "**manireg, ambient Eells** (tension 0)",
     "manireg_tension": "**manireg, ambient Eells with tension** (default)",
+    "manireg_surface": "**manireg, `surface=True`**",
 }
-HEADS = {"ict": "ICT", "makehuman": "MakeHuman"}
+HEADS = {
+    "ict": "ICT",
+    "makehuman": "MakeHuman",
+    "ict_pairs": "ICT, one person onto another",
+    "makehuman_pairs": "MakeHuman, one person onto another",
+}
 BASE = "rbf_r"
 
 

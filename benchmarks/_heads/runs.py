@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 from _table_file import append_row, read_rows
 
+from manireg.datasets import HeadPair, heads
+
 FIELDS = (
     "data", "landmarks", "method", "target", "whole", "interior", "near_landmarks",
     "lam", "seconds", "peak_gb",
 )  # fmt: skip
+DATA = ("ict", "makehuman")
 Key = tuple[str, int, str, int]
 
 
@@ -27,19 +30,17 @@ def run(options: Namespace) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from manireg.datasets import heads
-
     from .methods import METHODS
 
     (data,), (landmarks,), (method,) = options.data, options.landmarks, options.methods
     for target in options.targets:
-        task = heads(data, target, landmarks)
+        task = pair(data, target, landmarks)
         start = time.perf_counter()
         result = METHODS[method](task)
         seconds = time.perf_counter() - start
         vertices, lam = result if isinstance(result, tuple) else (result, None)
         errors = np.linalg.norm(vertices - task.truth, axis=1)
-        if landmarks == 55:
+        if landmarks == 55 and data in DATA:
             for_pictures = options.out / "heads_vertices"
             for_pictures.mkdir(exist_ok=True)
             file = for_pictures / f"{data}_{method}_{target}.npy"
@@ -50,6 +51,13 @@ def run(options: Namespace) -> None:
         row |= {"lam": "" if lam is None else f"{lam:.4g}"}
         row |= {"seconds": f"{seconds:.1f}", "peak_gb": f"{peak:.2f}"}
         append_row(options.out / "heads.csv", FIELDS, row)
+
+
+def pair(data: str, target: int, landmarks: int) -> HeadPair:
+    """From the mean head, or for `..._pairs` from the head after the target."""
+    if data in DATA:
+        return heads(data, target, landmarks)
+    return heads(data.removesuffix("_pairs"), target, landmarks, source=target + 1)
 
 
 def scores(task, errors: np.ndarray) -> dict[str, float]:

@@ -1,6 +1,7 @@
 """`manireg register`."""
 
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -28,14 +29,14 @@ def register(
         Path, typer.Argument(help="Mesh to map it onto, or a folder of them.")
     ],
     landmarks: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             help="Of the source: .mrk.json or .fcsv (3D Slicer), .pp (MeshLab), .tps or "
             "CSV (`name` and `x,y,z` or `vertex`). Without --target-landmarks a CSV "
             "with a row for each pair: columns `source,target` hold vertex numbers of the "
             "files (from 0), or `sx,sy,sz,tx,ty,tz` positions."
         ),
-    ],
+    ] = None,
     target_landmarks: Annotated[
         Path | None,
         typer.Option(help="Of the target, matched by name; or a folder of them."),
@@ -75,6 +76,14 @@ def register(
             "better."
         ),
     ] = "no",
+    align: Annotated[
+        bool,
+        typer.Option(
+            "--align",
+            help="Without landmarks: brought near the target by shape alone, then "
+            "`--surface yes`. Much less sure than five landmarks.",
+        ),
+    ] = False,
     no_folds: Annotated[
         bool,
         typer.Option(
@@ -123,7 +132,7 @@ def register(
     folders of meshes and of landmark files of the same names. A call that was killed goes
     on where it was; `--shard` is for job arrays.
     """
-    rounds = WITH_SURFACE[surface]
+    rounds = WITH_SURFACE["yes" if align else surface]
     if target.is_dir():
         options = {"geometry": geometry, "centres": centres, "tension": tension}
         options |= {"lam": lam, "transfer": transfer}
@@ -135,6 +144,8 @@ def register(
                     "--picture, --morph, --report, --page, --inverse: only for a single "
                     "target."
                 )
+            if landmarks is None or align:
+                raise ValueError("--landmarks: a folder of them is needed, no --align.")
             files = source, target, landmarks, target_landmarks, out
             whole = onto_folder(*files, shard, **options)
         raise typer.Exit(0 if whole else 1)
@@ -143,10 +154,9 @@ def register(
             raise ValueError("--transfer, --shard: only for a folder of targets.")
         check_written(picture, out)
         check_report(report, page, inverse)
-        if target_landmarks is None:
-            ours, theirs = _read_pairs(landmarks)
-        else:
-            ours, theirs = map(mr.read_landmarks, (landmarks, target_landmarks))
+        marks = None if align else _landmarks(landmarks, target_landmarks)
+        if align and (landmarks, target_landmarks) != (None, None):
+            raise ValueError("--align: without landmarks, which know better.")
         surfaces = [mr.load_surface(file) for file in (source, target)]
         for file, loaded in zip((source, target), surfaces):
             typer.echo(f"{file}: {loaded.report}")
@@ -160,7 +170,7 @@ def register(
             surface=rounds,
             no_folds=no_folds,
         )
-        found = fit(surfaces[0], surfaces[1], ours, theirs)
+        found = _onto(fit, surfaces, marks)
         seconds = time.perf_counter() - start
         written = [write_mesh(found.mesh(), out)]
         if morph is not None:
@@ -182,21 +192,36 @@ def register(
                 f"{alone:.3g} by landmarks, {whole:.3g} by the surface: {kept} kept"
             )
         errors = found.landmark_errors
-        worst = found.landmark_names[errors.argmax()]
-        rows["landmark errors"] = (
-            f"{errors.mean():.3g}, at most {errors.max():.3g} ({worst})"
-        )
+        if len(errors):
+            worst = found.landmark_names[errors.argmax()]
+            rows["landmark errors"] = (
+                f"{errors.mean():.3g}, at most {errors.max():.3g} ({worst})"
+            )
         low, high = np.percentile(found.stretch(), [5, 95])
         rows["area on target / source"] = f"{low:.2f} to {high:.2f} (90 %)"
         rows["time"] = f"{seconds:.0f} s"
         if report is not None or page is not None:
             back = None
             if inverse:
-                back = fit(surfaces[1], surfaces[0], theirs, ours)
+                back = _onto(fit, surfaces[::-1], marks and marks[::-1])
             more, files = write_report(found, found.report(back), report, page)
             rows |= more
             written += files
         print_rows(rows, written)
+
+
+def _onto(fit: Callable, surfaces: list[mr.Surface], marks: tuple | None):
+    if marks is None:
+        return fit(*surfaces, start=mr.align(*surfaces))
+    return fit(*surfaces, *marks)
+
+
+def _landmarks(ours: Path | None, theirs: Path | None) -> tuple:
+    if ours is None:
+        raise ValueError("--landmarks: needed, or --align to do without.")
+    if theirs is None:
+        return tuple(_read_pairs(ours))
+    return mr.read_landmarks(ours), mr.read_landmarks(theirs)
 
 
 def _read_pairs(file: Path):

@@ -8,7 +8,8 @@ from tqdm import tqdm
 
 from .._selection.folds import training_sets
 from .._solver.model import RegressionMap
-from .landmark_fit import LandmarkFit, Scans, landmark_fit, unprojected
+from .landmark_fit import LandmarkFit, landmark_fit, unprojected
+from .scans import Scans
 from .surface_rounds import fit_surface
 
 FOLDS = 5
@@ -49,8 +50,7 @@ def held_out(scans: Scans, fit: LandmarkFit, centres: int, progress: bool) -> He
         cloud = scans.pieces[of].cloud
         both = fit_surface(
             cloud,
-            scans.target,
-            scans.padded,
+            scans.onto,
             part.x[of],
             part.y,
             unprojected(model, cloud),

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, ScalarLike
+from jaxtyping import Array, Float, ScalarLike
 
 from .._objective.make_problem import make_problem, with_tension
 from .._objective.problem import Problem
@@ -18,34 +18,9 @@ from .._solver.model import RegressionMap
 from .._solver.solve import solve
 from .._sources.sources import Ambient
 from ..manifolds import PointCloud
-from ..manifolds._scans.surface import Surface
+from .scans import Scans
 
 Centres = dict[tuple[str, int], tuple[float, ...]]
-
-
-class Scans(NamedTuple):
-    """Two surfaces, and pairs of places on them."""
-
-    pieces: dict[str, Surface]
-    """What each geometry takes of the source."""
-    x: dict[str, Float[np.ndarray, "l 3"]]
-    """Landmarks on these."""
-    target: PointCloud
-    padded: PointCloud
-    """The target with points without weight: similar ones share compiled programs."""
-    y: Float[np.ndarray, "l 3"]
-    sigma: np.ndarray | None
-    precision: np.ndarray | None
-
-    def among(self, kept: Int[np.ndarray, " i"]) -> "Scans":
-        """With these landmarks only."""
-        part = lambda a: a[kept] if np.ndim(a) else a
-        return self._replace(
-            x={of: part(x) for of, x in self.x.items()},
-            y=part(self.y),
-            sigma=part(self.sigma),
-            precision=part(self.precision),
-        )
 
 
 class LandmarkFit(NamedTuple):
@@ -107,7 +82,7 @@ def _problem(scans: Scans, geometry: str, centres: int, tension: float) -> Probl
     cloud = scans.pieces[geometry].cloud
     problem = make_problem(
         Ambient(cloud) if geometry == "ambient" else cloud,
-        scans.padded,
+        scans.onto.padded,
         scans.x[geometry],
         scans.y,
         sigma=scans.sigma,

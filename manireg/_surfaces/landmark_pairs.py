@@ -53,3 +53,8 @@ def landmark_pairs(
         check_orientation(x, y, *sides)
     warn_of_suspects(x, y, pairs.names)
     return LandmarkPairs(pairs.names, x, y, pairs.numbers)
+
+
+def nothing_paired() -> LandmarkPairs:
+    """Of surfaces without landmarks."""
+    return LandmarkPairs((), np.zeros((0, 3)), np.zeros((0, 3)), [])

@@ -6,32 +6,31 @@ from functools import partial
 
 import numpy as np
 import optimistix as optx
-from jaxtyping import ScalarLike
+from jaxtyping import ArrayLike, ScalarLike
 
-from .._input.numbers import Numbers, as_numbers
+from .._input.numbers import Numbers
 from .._input.precision import check_x64
-from .._programs.sizes import power_of_four
 from .._selection.one_fit import RTOL
 from .._solver.model import RegressionMap
 from .._solver.solve import solve
 from ..manifolds._scans.surface import SurfaceLike
+from .align import moved_by
 from .folds import agreement, without_folds
-from .given import given_surface, on_piece, one_piece
+from .given import given_surface
 from .held_out import check_enough, held_out
-from .landmark_fit import Scans, choices_of, landmark_fit, unprojected
-from .landmark_pairs import landmark_pairs
+from .landmark_fit import choices_of, landmark_fit, unprojected
+from .landmark_pairs import landmark_pairs, nothing_paired
 from .landmarks import LandmarksLike
 from .registration import Registration
+from .scans import scans_of
 from .surface_rounds import SurfaceFit, fit_surface
-
-FEWEST_POINTS = 8192  # targets are padded: similar ones share compiled programs
 
 
 def register(
     source: SurfaceLike,
     target: SurfaceLike,
-    source_landmarks: LandmarksLike,
-    target_landmarks: LandmarksLike,
+    source_landmarks: LandmarksLike | None = None,
+    target_landmarks: LandmarksLike | None = None,
     lam: ScalarLike | None = None,
     *,
     sigma: Numbers | None = None,
@@ -40,6 +39,7 @@ def register(
     centres: int | Sequence[int] = 400,
     tension: float | Sequence[float] = 1.0,
     surface: bool | str = False,
+    start: ArrayLike | None = None,
     no_folds: bool = False,
     progress: bool = True,
 ) -> Registration:
@@ -81,6 +81,9 @@ def register(
       slow). With True, lambda is not chosen by leaving out but set to follow landmarks as
       far as they are apart, unless it is given or there are several of what follows below;
       geometry and tension are those of the start.
+    - `start`: without landmarks, a matrix `(4, 4)` that brings the source near the target,
+      of `align` or your own (an affine map of homogeneous coordinates); the whole surface
+      does the rest, so `surface=True`. Much less sure than five landmarks.
     - `no_folds`: True: where triangles come out folded over, lambda is raised (above the
       one chosen) until none is. A warning says how many are left where that ends in none
       without, as on targets thinner than the landmarks are precise.
@@ -106,60 +109,76 @@ def register(
     `read_landmarks` reject; RuntimeError for a fit that ends in NaN.
     """
     check_x64()
-    if surface not in (True, False, "auto"):
-        raise ValueError(f"surface: expected True, False or 'auto', found {surface!r}.")
+    _check_beginning(source_landmarks, target_landmarks, start, surface)
     choices = choices_of(geometry, centres, tension)
-    ours, theirs = given_surface("source", source), given_surface("target", target)
-    pairs = landmark_pairs(ours, theirs, source_landmarks, target_landmarks)
-    if surface == "auto":
-        check_enough(len(pairs.y))
-    pieces = {of: ours if of == "ambient" else one_piece(ours) for of, _ in choices}
-    onto = theirs.cloud
-    scans = Scans(
-        pieces,
-        {
-            of: on_piece(piece, ours, pairs.x, pairs.names)
-            for of, piece in pieces.items()
-        },
-        onto,
-        onto.padded(power_of_four(len(onto.points), least=FEWEST_POINTS)),
-        pairs.y,
-        *(_of_pairs(a, pairs.numbers) for a in (sigma, precision)),
-    )
-    leave_out = lam is None and surface is not True
-    start = landmark_fit(scans, choices, lam, leave_out, progress)
-    _check_result(start.model)
     most = max(count for _, count in choices)
-    tried = held_out(scans, start, most, progress) if surface == "auto" else None
-    piece, at = scans.pieces[start.geometry], scans.x[start.geometry]
-    fits = partial(_landmarks_alone, start.model)
+    ours, theirs = given_surface("source", source), given_surface("target", target)
+    cv = tried = alone = None
+    if source_landmarks is None or target_landmarks is None:
+        of, pairs = "ambient", nothing_paired()
+        scans = scans_of(ours, theirs, pairs, [of])
+        psi = moved_by(start, ours.cloud.points)
+    else:
+        pairs = landmark_pairs(ours, theirs, source_landmarks, target_landmarks)
+        if surface == "auto":
+            check_enough(len(pairs.y))
+        geometries = dict.fromkeys(of for of, _ in choices)
+        scans = scans_of(ours, theirs, pairs, geometries, sigma, precision)
+        leave_out = lam is None and surface is not True
+        begun = landmark_fit(scans, choices, lam, leave_out, progress)
+        _check_result(begun.model)
+        of, cv, alone = begun.geometry, begun.cv, begun.model
+        psi = unprojected(alone, scans.pieces[of].cloud)
+        tried = held_out(scans, begun, most, progress) if surface == "auto" else None
+    piece, x = scans.pieces[of], scans.x[of]
     if surface is True or (tried is not None and tried.surface_is_better):
-        psi = unprojected(start.model, piece.cloud)
         fits = lambda stiffer, _: fit_surface(
-            piece.cloud, onto, scans.padded, at, pairs.y, psi, most, progress, stiffer
+            piece.cloud, scans.onto, x, pairs.y, psi, most, progress, stiffer
         )
+    else:
+        assert alone is not None
+        fits = partial(_landmarks_alone, alone)
     fit, left = fits(1.0, None), 0
     image = lambda model: np.asarray(
-        scans.padded.project(unprojected(model, piece.cloud))
+        scans.onto.padded.project(unprojected(model, piece.cloud))
     )[piece.of_vertex]
     if no_folds and piece.faces is not None:
         faces = piece.faces
-        turned = lambda fit: agreement(image(fit.model), faces, onto) < 0
+        turned = lambda fit: agreement(image(fit.model), faces, theirs.cloud) < 0
         fit, left = without_folds(fit, lambda fit: int(np.sum(turned(fit))), fits)
     if left:
         _warn_of_folds(left)
     weights = fit.match_weights
+    landed = np.asarray(fit.model(x)) if len(x) else x
     return Registration(
         vertices=image(fit.model),
         model=fit.model,
-        cv=start.cv,
-        landmark_errors=np.linalg.norm(np.asarray(fit.model(at)) - pairs.y, axis=1),
+        cv=cv,
+        landmark_errors=np.linalg.norm(landed - pairs.y, axis=1),
         match_weights=None if weights is None else weights[piece.of_vertex],
         source=piece,
         target=theirs,
         held_out=tried,
         landmark_names=pairs.names,
     )
+
+
+def _check_beginning(source_landmarks, target_landmarks, start, surface) -> None:
+    if surface not in (True, False, "auto"):
+        raise ValueError(f"surface: expected True, False or 'auto', found {surface!r}.")
+    given = [a is not None for a in (source_landmarks, target_landmarks)]
+    if start is None and not all(given):
+        raise ValueError(
+            "landmarks: give `source_landmarks` and `target_landmarks`, or without any "
+            "`start=mr.align(source, target), surface=True`."
+        )
+    if start is not None and any(given):
+        raise ValueError("start: not with landmarks, which know better; leave out one.")
+    if start is not None and surface is not True:
+        raise ValueError(
+            "start: nothing to fit without landmarks but the whole surface; add "
+            "`surface=True`."
+        )
 
 
 def _landmarks_alone(
@@ -181,15 +200,6 @@ def _warn_of_folds(left: int) -> None:
         "them; add landmarks there.",
         stacklevel=3,
     )
-
-
-def _of_pairs(value: Numbers | None, index: list[int]) -> np.ndarray | None:
-    """What is given for each landmark of the source, for those in pairs."""
-    if value is None:
-        return None
-    array = as_numbers("sigma, precision", value)
-    whole = array.ndim > 0 and len(array) > max(index)
-    return array[index] if whole else array
 
 
 def _check_result(model: RegressionMap) -> None:

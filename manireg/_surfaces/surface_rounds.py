@@ -22,6 +22,7 @@ from .._sources.sources import Ambient
 from ..manifolds import PointCloud
 from .correspondence import Matches, OrientedPoints, edge_points, matches
 from .linear_map import linear_map
+from .scans import Onto
 
 ROUNDS = 60
 # In the root of the source's area, so that neither unit nor sampling matters:
@@ -44,8 +45,7 @@ class SurfaceFit(NamedTuple):
 
 def fit_surface(
     source: PointCloud,
-    target: PointCloud,
-    padded: PointCloud,
+    onto: Onto,
     x: Float[np.ndarray, "l 3"],
     y: Float[np.ndarray, "l 3"],
     start: Float[ArrayLike, "n 3"],
@@ -71,12 +71,12 @@ def fit_surface(
     """
     points, share = np.asarray(source.points), np.asarray(source.areas)
     share = share / np.sum(share)
-    nearest = np.asarray(padded.nearest(jnp.asarray(start)))
+    nearest = np.asarray(onto.padded.nearest(jnp.asarray(start)))
     problem = make_problem(
         Ambient(source),
-        padded,
+        onto.padded,
         np.concatenate([points, x]),
-        np.concatenate([np.asarray(target.points)[nearest], y]),
+        np.concatenate([np.asarray(onto.cloud.points)[nearest], y]),
         weights=_weights(share, len(x)),
         centres=centres,
         degree=1,
@@ -86,7 +86,7 @@ def fit_surface(
     start, lam = np.asarray(start), stiffer * lam
     aims = np.concatenate([start, y])
     w = space.fitted(aims, np.asarray(problem.weights), first)
-    theirs, edge = _oriented(target), _oriented(source).on_edge
+    theirs, edge = _oriented(onto.cloud), _oriented(source).on_edge
     length = NORMAL_LENGTH * float(problem.volume) ** 0.5
     normals = np.concatenate([np.asarray(source.normals), np.zeros_like(x)])
     found = Matches(points, share)
@@ -102,8 +102,10 @@ def fit_surface(
 
 
 def _weights(surface: Float[np.ndarray, " n"], landmarks: int) -> np.ndarray:
-    """Of points and landmarks: each of the two half of all."""
+    """Of points and landmarks: each of the two half of all, where there are both."""
     surface = surface / max(np.sum(surface), np.finfo(float).tiny)
+    if landmarks == 0:
+        return surface
     return 0.5 * np.concatenate([surface, np.full(landmarks, 1 / landmarks)])
 
 

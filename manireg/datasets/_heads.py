@@ -32,24 +32,32 @@ class HeadPair(NamedTuple):
     """Within 40 mm of a landmark; the rest is extrapolation."""
 
 
-def heads(name: str = "ict", target: int = 0, landmarks: int = 55) -> HeadPair:
-    """The mean head and target 0..9 of `"ict"` (ICT Face Model Light, MIT) or
-    `"makehuman"` (CC0), with 55 or 20 landmarks.
+def heads(
+    name: str = "ict", target: int = 0, landmarks: int = 55, source: int | None = None
+) -> HeadPair:
+    """The mean head, or head 0..9 if it is the `source`, and target 0..9 of `"ict"` (ICT
+    Face Model Light, MIT) or `"makehuman"` (CC0), with 55 or 20 landmarks.
 
     **Raises** FileNotFoundError where the shared data are missing, ValueError for a head
     that does not exist."""
-    if name not in NAMES or target not in range(TARGETS) or landmarks not in (55, 20):
+    heads = range(TARGETS)
+    known = name in NAMES and target in heads and source in (None, *heads)
+    if not known or landmarks not in (55, 20):
         raise ValueError(
-            f"heads: expected name {' or '.join(NAMES)}, target 0 to {TARGETS - 1}, 55 or "
-            f"20 landmarks; found {name!r}, {target!r}, {landmarks!r}."
+            f"heads: expected name {' or '.join(NAMES)}, target and source 0 to "
+            f"{TARGETS - 1}, 55 or 20 landmarks; found {name!r}, {target!r}, {source!r}, "
+            f"{landmarks!r}."
         )
     arrays = _arrays(name)
     of_target = {
         key: arrays[f"target{target:02d}_{key}"] for key in ("vertices", "faces")
     }
     chosen = arrays["landmarks_sparse"] if landmarks == 20 else slice(None)
+    vertices = arrays["vertices"]
+    if source is not None:
+        vertices = arrays["ground_truth"][source]
     return HeadPair(
-        _mesh(arrays["vertices"], arrays["faces"]),
+        _mesh(vertices, arrays["faces"]),
         _mesh(**of_target),
         arrays["landmarks"].astype(int)[chosen],
         arrays["target_landmarks"][target].astype(float)[chosen],
