@@ -1,4 +1,4 @@
-"""How precise landmarks are, from left and right of specimens that are nearly symmetric."""
+"""How precise landmarks are, from left and right of nearly symmetric specimens."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -36,9 +36,7 @@ def precision(specimens: np.ndarray) -> Precision:
     partner = mirror_partners(specimens)
     aligned = np.stack([moved_onto(x, specimens[0]) for x in specimens])
     mirrored = aligned * [-1, 1, 1]
-    images = [
-        moved_onto(m[partner], x) for m, x in zip(mirrored, aligned, strict=True)
-    ]
+    images = [moved_onto(m[partner], x) for m, x in zip(mirrored, aligned, strict=True)]
     asymmetry = aligned - np.stack(images)
     scatter = np.sum(asymmetry.var(axis=0, ddof=1), axis=1)
     deviation = np.where(partner == np.arange(len(partner)), np.nan, scatter / 6) ** 0.5

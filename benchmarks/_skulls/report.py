@@ -41,7 +41,9 @@ def _table(runs, landmarks: int) -> str:
         own = _of(runs, landmarks, method)
         if not own:
             continue
-        column = lambda field, rows=own: np.array([float(r[field]) for r in rows.values()])
+        column = lambda field, rows=own: np.array(
+            [float(r[field]) for r in rows.values()]
+        )
         both = [target for target in own if target in base]
         ratio, better = "", ""
         if both and method != BASE:
@@ -78,8 +80,8 @@ def _digitising() -> str:
     rms = np.sqrt(3 * np.nanmean(found.deviation**2))
     floors = {count: found.floor(~fitted(count)) for count in (36, 13)}
     return (
-        f"Digitising error, from the scatter of the left-right differences of {pairs} pairs "
-        "over the 6 skulls, their mean taken off: a landmark is "
+        "Digitising error, from the scatter of the left-right differences of "
+        f"{pairs} pairs over the 6 skulls, their mean taken off: a landmark is "
         f"{rms:.3f} mm off (root mean square), and a perfect map would leave a mean error "
         f"of {floors[36]:.3f} mm in the {np.sum(~fitted(36))} predicted ones, of "
         f"{floors[13]:.3f} mm in the {np.sum(~fitted(13))}. Errors common to both sides "

@@ -1,4 +1,4 @@
-"""Six mouse skulls of micro-CT (SlicerMorph's Mouse_Models) with 51 landmarks set by hand."""
+"""Six mouse skulls (micro-CT, SlicerMorph's Mouse_Models) with 51 hand-set landmarks."""
 
 from typing import NamedTuple
 

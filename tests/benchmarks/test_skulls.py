@@ -33,7 +33,7 @@ def moved(x, rng) -> np.ndarray:
 
 
 def test_precision_finds_pairs_and_noise(precision):
-    """Of specimens with a common asymmetry, which is no error, in positions of their own."""
+    """A common asymmetry is no error; specimens lie anywhere."""
     rng = np.random.default_rng(0)
     shape, partner = symmetric_shape(rng)
     common = 0.1 * rng.normal(size=shape.shape)
