@@ -60,15 +60,7 @@ def coherent_drift(source: np.ndarray, target: np.ndarray) -> CoherentDrift:
 
     centre, unit = target.mean(axis=0), float(np.sqrt(target.var(axis=0).mean()))
     places, aims = ((points - centre) / unit for points in (source, target))
-    # what is not moved yet is as far off as the closest points are
-    nearest = cdist(places, aims, "sqeuclidean").min(axis=1)
-    drift = DeformableRegistration(
-        X=aims,
-        Y=places,
-        beta=BETA,
-        tolerance=TOLERANCE,
-        sigma2=float(nearest.mean()),
-    )
+    drift = DeformableRegistration(X=aims, Y=places, beta=BETA, tolerance=TOLERANCE)
     drift.register()
     return CoherentDrift(places, drift.W, centre, unit)
 
