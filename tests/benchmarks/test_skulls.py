@@ -1,4 +1,5 @@
 import csv
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -12,9 +13,7 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 @pytest.fixture
 def precision(monkeypatch):
     monkeypatch.syspath_prepend(BENCHMARKS)
-    from _skulls import precision
-
-    return precision
+    return importlib.import_module("_skulls.precision")
 
 
 def symmetric_shape(rng) -> tuple[np.ndarray, np.ndarray]:

@@ -178,7 +178,9 @@ def test_auto_keeps_what_predicts_landmarks_left_out():
 def test_scale_of_rounds_is_that_of_the_shape():
     """Bone has an inside: of a ball and of a thin shell, in any unit and position, the
     scale is the radius, not the root of the area."""
-    turn = trimesh.transformations.rotation_matrix(0.7, [1.0, 2.0, 3.0], [9.0, 0.0, 0.0])
+    turn = trimesh.transformations.rotation_matrix(
+        0.7, [1.0, 2.0, 3.0], [9.0, 0.0, 0.0]
+    )
     for inner in ([], [0.97]):
         shells = [trimesh.creation.icosphere(4, radius=r) for r in (1.0, *inner)]
         mesh = trimesh.util.concatenate(shells).apply_scale(40).apply_transform(turn)
