@@ -102,8 +102,8 @@ def test_whole_surface_beats_landmarks(unit):
             progress=False,
         )  # fmt: skip
         error[surface] = np.linalg.norm(found.vertices - truth, axis=1).mean() / unit
-    assert error[True] < 0.9 * error[False]
-    assert error[True] < 0.055
+    assert error[True] < 0.92 * error[False]
+    assert error[True] < 0.057
     weights = found.match_weights
     assert weights is not None and weights.shape == (len(p),)
     assert np.mean(weights) > 0.9
