@@ -11,6 +11,9 @@ import trimesh
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
+BETA = 2.0  # pycpd's default width of its kernel
+TOLERANCE = 1e-6  # of a variance of 1; its default, 1e-3, stops it at once
+
 
 def landmark_warp(source: np.ndarray, target: np.ndarray) -> RBFInterpolator:
     """The biharmonic spline of space through the landmarks: the strong baseline."""
@@ -37,7 +40,6 @@ class CoherentDrift(NamedTuple):
 
     places: np.ndarray
     weights: np.ndarray
-    beta: float
     centre: np.ndarray
     unit: float
 
@@ -46,32 +48,21 @@ class CoherentDrift(NamedTuple):
         moved = []
         for block in np.array_split(x, 1 + len(x) // 5000):
             z = (block - self.centre) / self.unit
-            kernel = np.exp(-cdist(z, self.places, "sqeuclidean") / (2 * self.beta**2))
+            kernel = np.exp(-cdist(z, self.places, "sqeuclidean") / (2 * BETA**2))
             moved.append(self.centre + self.unit * (z + kernel @ self.weights))
         return np.concatenate(moved)
 
 
-def coherent_drift(
-    source: np.ndarray, target: np.ndarray, beta: float, tolerance: float, **options
-) -> CoherentDrift:
+def coherent_drift(source: np.ndarray, target: np.ndarray) -> CoherentDrift:
     """pycpd's deformable registration of points that a first map has sent near the
     target, in units of the target's standard deviation, as the method's paper has it."""
     from pycpd import DeformableRegistration
 
-    centre, unit = target.mean(axis=0), float(np.sqrt(target.var(axis=0).sum() / 3))
+    centre, unit = target.mean(axis=0), float(np.sqrt(target.var(axis=0).mean()))
     places, aims = ((points - centre) / unit for points in (source, target))
-    # what is not moved yet is as far off as the closest points are
-    nearest = cdist(places, aims, "sqeuclidean").min(axis=1)
-    drift = DeformableRegistration(
-        X=aims,
-        Y=places,
-        beta=beta,
-        tolerance=tolerance,
-        sigma2=float(nearest.mean()),
-        **options,
-    )
+    drift = DeformableRegistration(X=aims, Y=places, beta=BETA, tolerance=TOLERANCE)
     drift.register()
-    return CoherentDrift(places, drift.W, beta, centre, unit)
+    return CoherentDrift(places, drift.W, centre, unit)
 
 
 @contextmanager

@@ -1,8 +1,7 @@
 """Each sends the source's vertices to the target."""
 
 import numpy as np
-import trimesh
-from scipy.interpolate import RBFInterpolator
+from _peers import landmark_warp, meshmonk_pyramid
 
 import manireg as mr
 
@@ -10,12 +9,8 @@ from .tasks import Face
 
 
 def warped(task: Face) -> np.ndarray:
-    """By the biharmonic spline of space through the landmarks: the strong baseline."""
     x = np.asarray(task.source.vertices)
-    spline = RBFInterpolator(
-        x[task.source_landmarks], task.target_landmarks, kernel="linear", degree=1
-    )
-    return spline(x)
+    return landmark_warp(x[task.source_landmarks], task.target_landmarks)(x)
 
 
 def closest(task: Face) -> np.ndarray:
@@ -23,14 +18,9 @@ def closest(task: Face) -> np.ndarray:
 
 
 def meshmonk(task: Face) -> np.ndarray:
-    """Its pyramid with default settings, from the warp of the landmarks: the best of its
-    starts, and better here than its single layer."""
-    import meshmonk as mm
-
-    mm.set_log_level("silent")
-    start = trimesh.Trimesh(warped(task), task.source.faces, process=False)
-    found = mm.pyramid_register(floating=start, target=task.target)
-    return np.asarray(found.aligned_vertices, float)
+    """From the warp of the landmarks: the best of its starts, and better here than its
+    single layer."""
+    return meshmonk_pyramid(warped(task), task.source.faces, task.target)
 
 
 def registered(task: Face, **options) -> np.ndarray:

