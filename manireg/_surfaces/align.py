@@ -2,6 +2,7 @@
 
 import itertools
 import warnings
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from ..manifolds._scans.surface import SurfaceLike
 from .correspondence import OrientedPoints, edge_points, matches
 from .given import given_surface
 
-POINTS = 2000  # of each surface, drawn by area
+POINTS, FEW = 2000, 500  # of each surface, drawn by area; and for the first rounds
 FIRST, LAST = 8, 40  # rounds: of all beginnings, and of the `KEPT` best of them
 KEPT = 4
 NORMAL_LENGTH = (
@@ -66,9 +67,11 @@ def align(source: SurfaceLike, target: SurfaceLike) -> Float[np.ndarray, "4 4"]:
     ours, theirs = given_surface("source", source), given_surface("target", target)
     ours, theirs = _drawn(ours.cloud), _drawn(theirs.cloud)
     length = NORMAL_LENGTH * _size(theirs.points)
-    runs = [_closer(f, ours, theirs, length, FIRST) for f in _beginnings(ours, theirs)]
+    few = (_first(surface, FEW) for surface in (ours, theirs))
+    coarse = partial(_closer, *few, length, FIRST)
+    runs = [coarse(begun) for begun in _beginnings(ours, theirs)]
     runs = sorted(runs, key=lambda run: run[0])[:KEPT]
-    runs = [_closer(f, ours, theirs, length, LAST) for _, f in runs]
+    runs = [_closer(ours, theirs, length, LAST, begun) for _, begun in runs]
     (least, best), *others = sorted(runs, key=lambda run: run[0])
     for distance, other in others:
         if distance < ALIKE * least and _angle(best.rotation, other.rotation) > APART:
@@ -110,6 +113,10 @@ def _drawn(cloud: PointCloud) -> OrientedPoints:
     )
 
 
+def _first(surface: OrientedPoints, count: int) -> OrientedPoints:
+    return OrientedPoints(*(values[:count] for values in surface))
+
+
 def _size(points) -> float:
     return float(np.linalg.norm(points - points.mean(axis=0)) / np.sqrt(len(points)))
 
@@ -133,11 +140,11 @@ def _beginnings(ours: OrientedPoints, theirs: OrientedPoints) -> list[Similarity
 
 
 def _closer(
-    first: Similarity,
     ours: OrientedPoints,
     theirs: OrientedPoints,
     length: float,
     rounds: int,
+    first: Similarity,
 ) -> tuple[float, Similarity]:
     """After so many rounds, with the mean distance of matches. They go both ways: of one
     alone, what shrinks is near."""

@@ -31,7 +31,7 @@ def elsewhere(seed):
     return trimesh.Trimesh(moved, BALL.faces, process=False), matrix
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_similarity_is_found(seed):
     target, matrix = elsewhere(seed)
     found = mr.align(SOURCE, target)
