@@ -114,8 +114,8 @@ def _landed(surface: PointCloud, positions: np.ndarray) -> np.ndarray:
         before, landed = landed, np.asarray(projected(surface, landed))
     size = np.max(np.ptp(np.asarray(surface.points), axis=0))
     moving = np.linalg.norm(landed - before, axis=1) > STILL * size
-    nearest = np.asarray(surface.points)[np.asarray(surface.nearest(jnp.asarray(positions)))]
-    return np.where(moving[:, None], nearest, landed)
+    nearest = surface.points[surface.nearest(jnp.asarray(positions))]
+    return np.where(moving[:, None], np.asarray(nearest), landed)
 
 
 _LAM = (
