@@ -80,7 +80,7 @@ def check_source(source: AbstractSource):
 
 
 OFF_SURFACE = 0.02  # of the size of a surface: so far from it may landmarks lie
-LANDINGS, STILL = 4, 1e-9
+LANDINGS, STILL = 4, 1e-9  # projections, and what the last may move, of the size
 
 
 def check_landmarks(
@@ -114,10 +114,8 @@ def _landed(surface: PointCloud, positions: np.ndarray) -> np.ndarray:
         before, landed = landed, np.asarray(projected(surface, landed))
     size = np.max(np.ptp(np.asarray(surface.points), axis=0))
     moving = np.linalg.norm(landed - before, axis=1) > STILL * size
-    nearest = np.asarray(surface.points)[
-        np.asarray(surface.nearest(jnp.asarray(positions)))
-    ]
-    return np.where(moving[:, None], nearest, landed)
+    nearest = surface.points[surface.nearest(jnp.asarray(positions))]
+    return np.where(moving[:, None], np.asarray(nearest), landed)
 
 
 _LAM = (

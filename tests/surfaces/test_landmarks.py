@@ -10,7 +10,7 @@ import trimesh
 from broken_meshes import F, W
 
 import manireg as mr
-from manireg._surfaces import register as _register
+from manireg._surfaces import landmark_fit
 from manireg._surfaces.landmarks import as_landmarks
 from manireg._surfaces.pairs import matched
 from manireg._surfaces.placing import placed
@@ -376,7 +376,7 @@ def test_register_tells(tmp_path, monkeypatch):
         fitted.extend([x, y])
         raise InterruptedError
 
-    monkeypatch.setattr(_register, "make_problem", stop)
+    monkeypatch.setattr(landmark_fit, "make_problem", stop)
     text = f"'{names[2]}' and '{names[11]}' seem to be swapped"
     with pytest.warns(UserWarning, match=text), pytest.raises(InterruptedError):
         mr.register(MESH, MESH, a, b, 1e-3, centres=20, progress=False)

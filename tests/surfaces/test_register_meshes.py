@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 import manireg as mr
 from manireg._cli.app import app
-from manireg._surfaces import register as _register
+from manireg._surfaces import landmark_fit, register as _register
 from manireg.meshes import read_mesh, write_mesh
 
 W = V * [1.0, 1.2, 0.8] + 0.15 * np.sin(2 * V[:, [1, 2, 0]])
@@ -224,7 +224,7 @@ def no_fit(monkeypatch):
     def stop(*_, **__):
         raise Reached
 
-    monkeypatch.setattr(_register, "make_problem", stop)
+    monkeypatch.setattr(landmark_fit, "make_problem", stop)
 
 
 FLIP = np.array([-1.0, 1, 1])
