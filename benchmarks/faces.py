@@ -14,8 +14,7 @@ process of its own; the first face of a run compiles and is done twice.
 
 import argparse
 
-from _worker import add_options, start_worker
-from tqdm import tqdm
+from _worker import add_options, run_missing
 
 METHODS = ("rbf_r", "meshmonk", "landmarks", "surface")
 TARGETS = range(1, 15)
@@ -42,24 +41,12 @@ def main() -> None:
     from _faces.report import write_report
     from _faces.runs import read_runs
 
-    groups = [(n, method) for n in options.landmarks for method in options.methods]
-    with tqdm(groups, unit="group") as bar:
-        for landmarks, method in bar:
-            bar.set_postfix_str(f"{landmarks} landmarks, {method}")
-            done = read_runs(options.out)
-            missing = [
-                target
-                for target in options.targets
-                if (landmarks, method, target) not in done
-            ]
-            if missing:
-                start_worker(
-                    __file__,
-                    options.out,
-                    landmarks=[landmarks],
-                    methods=[method],
-                    targets=missing,
-                )
+    groups = [
+        {"landmarks": n, "methods": method}
+        for n in options.landmarks
+        for method in options.methods
+    ]
+    run_missing(__file__, options.out, groups, lambda _: options.targets, read_runs)
     write_report(options.out)
 
 

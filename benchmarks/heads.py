@@ -11,8 +11,7 @@ own, so that its peak memory is seen; seconds include what a method compiles.
 
 import argparse
 
-from _worker import add_options, start_worker
-from tqdm import tqdm
+from _worker import add_options, run_missing
 
 TARGETS = {
     "ict": range(10),
@@ -50,29 +49,13 @@ def main() -> None:
     from _heads.runs import read_runs
 
     groups = [
-        (data, landmarks, method)
+        {"data": data, "landmarks": landmarks, "methods": method}
         for landmarks in options.landmarks
         for data in options.data
         for method in options.methods
     ]
-    with tqdm(groups, unit="group") as bar:
-        for data, landmarks, method in bar:
-            bar.set_postfix_str(f"{data}, {landmarks} landmarks, {method}")
-            done = read_runs(options.out)
-            missing = [
-                target
-                for target in options.targets or TARGETS[data]
-                if (data, landmarks, method, target) not in done
-            ]
-            if missing:
-                start_worker(
-                    __file__,
-                    options.out,
-                    data=[data],
-                    landmarks=[landmarks],
-                    methods=[method],
-                    targets=missing,
-                )
+    targets = lambda group: options.targets or TARGETS[group["data"]]
+    run_missing(__file__, options.out, groups, targets, read_runs)
     write_report(options.out)
 
 

@@ -15,8 +15,7 @@ compiles, and the reading of files.
 
 import argparse
 
-from _worker import add_options, start_worker
-from tqdm import tqdm
+from _worker import add_options, run_missing
 
 METHODS = ("rbf_r", "meshmonk_rigid", "meshmonk_warp", "drift", "landmarks", "surface")
 TARGETS = ("C57BL6_J", "CAST_EIJ", "DBA_2J", "NZO", "WSB")
@@ -43,24 +42,12 @@ def main() -> None:
     from _skulls.report import write_report
     from _skulls.runs import read_runs
 
-    groups = [(n, method) for n in options.landmarks for method in options.methods]
-    with tqdm(groups, unit="group") as bar:
-        for landmarks, method in bar:
-            bar.set_postfix_str(f"{landmarks} landmarks, {method}")
-            done = read_runs(options.out)
-            missing = [
-                target
-                for target in options.targets
-                if (landmarks, method, target) not in done
-            ]
-            if missing:
-                start_worker(
-                    __file__,
-                    options.out,
-                    landmarks=[landmarks],
-                    methods=[method],
-                    targets=missing,
-                )
+    groups = [
+        {"landmarks": n, "methods": method}
+        for n in options.landmarks
+        for method in options.methods
+    ]
+    run_missing(__file__, options.out, groups, lambda _: options.targets, read_runs)
     write_report(options.out)
 
 
