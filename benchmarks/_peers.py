@@ -11,8 +11,16 @@ import trimesh
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
+import manireg as mr
+
 BETA = 2.0  # pycpd's default width of its kernel
 TOLERANCE = 1e-6  # of a variance of 1; its default, 1e-3, stops it at once
+
+
+def clean_mesh(surface: mr.Surface) -> trimesh.Trimesh:
+    """What every method is given: repaired, without the smallest components."""
+    points, triangles = surface.cloud.points, surface.cloud.triangles
+    return trimesh.Trimesh(np.asarray(points), np.asarray(triangles), process=False)
 
 
 def landmark_warp(source: np.ndarray, target: np.ndarray) -> RBFInterpolator:

@@ -1,5 +1,6 @@
 """The second experiment of Steinke and Hein 2008 on open data: dense correspondence of
-heads from landmarks, scored against the known correspondence. One command runs what is
+heads from landmarks, and from the whole target, scored against the known correspondence,
+from the mean head and from one person onto another. One command runs what is
 missing and writes table and pictures anew:
 
     python benchmarks/heads.py

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from _paired import paired
 
 from .runs import read_runs
 
@@ -38,12 +39,7 @@ def _table(runs, landmarks: int) -> str:
             continue
         rows = [runs[landmarks, method, target] for target in own]
         column = lambda field, rows=rows: np.array([float(r[field]) for r in rows])
-        both = sorted(set(own) & set(peer))
-        ratio, better = "", ""
-        if both and method != PEER:
-            ours, theirs = (np.array([e[t] for t in both]) for e in (own, peer))
-            ratio = f"{ours.mean() / theirs.mean():.2f}"
-            better = f"{np.sum(ours < theirs)} of {len(both)}"
+        beside = paired(own, {} if method == PEER else peer)
         halves = [[e for t, e in own.items() if (t in SEEN) == seen] for seen in (1, 0)]
         means = [f"{np.mean(half):.3f}" if half else "" for half in halves]
         row = [
@@ -51,8 +47,8 @@ def _table(runs, landmarks: int) -> str:
             f"{np.mean(list(own.values())):.3f}",
             *means,
             f"{column('p95').mean():.2f}",
-            ratio,
-            better,
+            beside.ratio,
+            f"{beside.wins} of {beside.targets}" if beside.targets else "",
             f"{max(own.values()):.3f}",
             f"{100 * column('folds').mean():.3f} %",
             f"{np.median(column('seconds')):.1f}",

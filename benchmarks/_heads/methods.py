@@ -3,7 +3,7 @@ landmarks alone, the last of ours, MeshMonk and nricp from the whole target."""
 
 import numpy as np
 import trimesh
-from _peers import landmark_warp, meshmonk_pyramid
+from _peers import clean_mesh, landmark_warp, meshmonk_pyramid
 from _rkhs_warp import rkhs_warp
 
 import manireg as mr
@@ -89,11 +89,11 @@ def meshmonk(task: Task) -> np.ndarray:
     """From the warp of the landmarks, with doubled vertices as one: it would do so itself
     and forget which they were."""
     source = mr.load_surface(task.source)
-    points, faces = source.cloud.points, source.cloud.triangles
+    mesh = clean_mesh(source)
     warp = landmark_warp(
         np.asarray(task.source.vertices)[task.source_landmarks], task.target_landmarks
     )
-    found = meshmonk_pyramid(warp(points), np.asarray(faces), task.target)
+    found = meshmonk_pyramid(warp(mesh.vertices), mesh.faces, task.target)
     return found[source.of_vertex]
 
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from _paired import paired
 
 from .runs import read_runs
 
@@ -56,21 +57,20 @@ def _table(runs, data: str, landmarks: int) -> str:
         if not own:
             continue
         mean = lambda field, rows=own: np.mean([float(r[field]) for r in rows.values()])
-        both = sorted(set(own) & set(base))
-        value = lambda rows, field: np.array([float(rows[t][field]) for t in both])
-        ratios, wins = [], []
-        for field in ("whole", "interior"):
-            a, b = value(own, field), value(base, field)
-            ratios.append(f"{a.mean() / b.mean():.2f}" if both else "")
-            wins.append(f"{np.sum(a < b)}")
-        better = "" if method == BASE or not both else f"{' / '.join(wins)}"
+        value = lambda rows, field: {t: float(r[field]) for t, r in rows.items()}
+        beside = [
+            paired(value(own, field), value(base, field))
+            for field in ("whole", "interior")
+        ]
+        wins = " / ".join(str(part.wins) for part in beside)
+        better = "" if method == BASE or not beside[0].targets else wins
         peak = max(float(r["peak_gb"]) for r in own.values())
         seconds = np.median([float(r["seconds"]) for r in own.values()])
         errors = [f"{mean(f):.2f}" for f in ("whole", "interior", "near_landmarks")]
         row = [
             name,
             *errors,
-            *ratios,
+            *(part.ratio for part in beside),
             better,
             f"{seconds:.0f}",
             f"{peak:.1f}",

@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 from _table_file import append_row, read_rows
 
-from manireg.datasets import HeadPair, heads
-
 FIELDS = (
     "data", "landmarks", "method", "target", "whole", "interior", "near_landmarks",
     "lam", "seconds", "peak_gb",
@@ -53,8 +51,10 @@ def run(options: Namespace) -> None:
         append_row(options.out / "heads.csv", FIELDS, row)
 
 
-def pair(data: str, target: int, landmarks: int) -> HeadPair:
+def pair(data: str, target: int, landmarks: int):
     """From the mean head, or for `..._pairs` from the head after the target."""
+    from manireg.datasets import heads
+
     if data in DATA:
         return heads(data, target, landmarks)
     return heads(data.removesuffix("_pairs"), target, landmarks, source=target + 1)

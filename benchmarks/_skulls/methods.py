@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 import trimesh
-from _peers import coherent_drift, landmark_warp, meshmonk_pyramid
+from _peers import clean_mesh, coherent_drift, landmark_warp, meshmonk_pyramid
 
 import manireg as mr
 
 from .precision import rigid_motion
-from .tasks import Skull, clean_mesh
+from .tasks import Skull
 
 DRIFT_POINTS = 1500  # a step takes half a second and grows with their cube
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import trimesh
 from scipy.optimize import linear_sum_assignment
 
 ROUNDS = 50
@@ -69,7 +70,7 @@ def moved_onto(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def rigid_motion(x: np.ndarray, y: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """The one of least squares, never a reflection (Kabsch 1976)."""
-    centre, aim = x.mean(axis=0), y.mean(axis=0)
-    u, _, vt = np.linalg.svd((x - centre).T @ (y - aim))
-    u[:, -1] *= np.sign(np.linalg.det(u @ vt))
-    return lambda points: (points - centre) @ u @ vt + aim
+    matrix = trimesh.registration.procrustes(
+        x, y, reflection=False, scale=False, return_cost=False
+    )
+    return lambda points: trimesh.transform_points(points, matrix)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from _paired import paired
 
 from .precision import precision
 from .runs import read_runs
@@ -44,20 +45,13 @@ def _table(runs, landmarks: int) -> str:
         column = lambda field, rows=own: np.array(
             [float(r[field]) for r in rows.values()]
         )
-        both = [target for target in own if target in base]
-        ratio, better = "", ""
-        if both and method != BASE:
-            ours, theirs = (
-                np.array([float(rows[t]["predicted"]) for t in both])
-                for rows in (own, base)
-            )
-            ratio = f"{ours.mean() / theirs.mean():.2f}"
-            better = f"{np.sum(ours < theirs)} of {len(both)}"
+        peer = {} if method == BASE else base
+        beside = paired(*(_predicted(rows) for rows in (own, peer)))
         row = [
             name,
             f"{column('predicted').mean():.3f}",
-            ratio,
-            better,
+            beside.ratio,
+            f"{beside.wins} of {beside.targets}" if beside.targets else "",
             f"{column('predicted').max():.3f}",
             f"{column('fitted').mean():.3f}",
             f"{100 * column('folds').mean():.2f} %",
@@ -71,6 +65,10 @@ def _table(runs, landmarks: int) -> str:
 
 def _of(runs, landmarks: int, method: str) -> dict:
     return {k[2]: row for k, row in runs.items() if k[:2] == (landmarks, method)}
+
+
+def _predicted(rows: dict) -> dict[str, float]:
+    return {target: float(row["predicted"]) for target, row in rows.items()}
 
 
 def _digitising() -> str:

@@ -6,9 +6,7 @@ from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from _table_file import append_row, read_rows
-from scipy.spatial import KDTree
 
 FIELDS = (
     "landmarks", "method", "target", "predicted", "fitted", "lam", "folds", "seconds",
@@ -54,8 +52,7 @@ def run(options: Namespace) -> None:
 
 def folded(vertices: np.ndarray, task) -> float:
     """Share of the triangles that are turned away from the target where they are."""
-    mesh = trimesh.Trimesh(vertices, task.source.cloud.triangles, process=False)
-    onto = task.target.cloud
-    nearest = KDTree(np.asarray(onto.points)).query(mesh.triangles_center)[1]
-    agreement = mesh.face_normals * np.asarray(onto.normals)[nearest]
-    return float(np.mean(np.sum(agreement, axis=1) < 0))
+    from manireg._surfaces.folds import agreement
+
+    triangles = np.asarray(task.source.cloud.triangles)
+    return float(np.mean(agreement(vertices, triangles, task.target.cloud) < 0))

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-import trimesh
 
 import manireg as mr
 from manireg.datasets import data_folder
@@ -41,12 +40,6 @@ def landmarks_of(name: str) -> np.ndarray:
     positions = mr.read_landmarks(_file(name, "mrk.json")).positions
     assert positions is not None
     return positions
-
-
-def clean_mesh(surface: mr.Surface) -> trimesh.Trimesh:
-    """What every method is given: repaired, without the smallest components."""
-    points, triangles = surface.cloud.points, surface.cloud.triangles
-    return trimesh.Trimesh(np.asarray(points), np.asarray(triangles), process=False)
 
 
 def _file(name: str, suffix: str):

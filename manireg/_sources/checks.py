@@ -109,11 +109,13 @@ def _landed(surface: PointCloud, positions: np.ndarray) -> np.ndarray:
     """Closest points that are their own closest points. Near another sheet, as of thin
     bone, the patch of the nearest point can end beyond a point of that sheet, whose patch
     is then the one that counts; where two pass points to and fro, the nearest vertex."""
-    landed = before = positions
+    size = np.max(np.ptp(np.asarray(surface.points), axis=0))
+    landed = moving = positions
     for _ in range(LANDINGS):
         before, landed = landed, np.asarray(projected(surface, landed))
-    size = np.max(np.ptp(np.asarray(surface.points), axis=0))
-    moving = np.linalg.norm(landed - before, axis=1) > STILL * size
+        moving = np.linalg.norm(landed - before, axis=1) > STILL * size
+        if not np.any(moving):
+            return landed
     nearest = surface.points[surface.nearest(jnp.asarray(positions))]
     return np.where(moving[:, None], np.asarray(nearest), landed)
 

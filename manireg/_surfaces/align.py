@@ -12,15 +12,15 @@ from .._input.numbers import as_numbers
 from .._input.precision import check_x64
 from ..manifolds import PointCloud
 from ..manifolds._scans.surface import SurfaceLike
-from .correspondence import OrientedPoints, edge_points, matches
+from .correspondence import OrientedPoints, matches, oriented
 from .given import given_surface
+from .procrustes import rotations
+from .surface_rounds import radius_of_gyration
 
 POINTS, FEW = 2000, 500  # of each surface, drawn by area; and for the first rounds
 FIRST, LAST = 8, 40  # rounds: of all beginnings, and of the `KEPT` best of them
 KEPT = 4
-NORMAL_LENGTH = (
-    1 / 4
-)  # of the root mean square from the centroid: what a normal off by a radian is worth
+NORMAL_LENGTH = 1 / 4  # radii of gyration: what a normal off by a radian is worth
 ALIKE = 1.1  # times the least distance: another beginning fits as well
 APART = np.deg2rad(20)  # between rotations that are not the same
 
@@ -67,7 +67,7 @@ def align(source: SurfaceLike, target: SurfaceLike) -> Float[np.ndarray, "4 4"]:
     ours, theirs = given_surface("source", source), given_surface("target", target)
     ours, theirs = _drawn(ours.cloud), _drawn(theirs.cloud)
     length = NORMAL_LENGTH * _size(theirs.points)
-    few = (_first(surface, FEW) for surface in (ours, theirs))
+    few = (surface.among(slice(FEW)) for surface in (ours, theirs))
     coarse = partial(_closer, *few, length, FIRST)
     runs = [coarse(begun) for begun in _beginnings(ours, theirs)]
     runs = sorted(runs, key=lambda run: run[0])[:KEPT]
@@ -102,23 +102,15 @@ def moved_by(start: ArrayLike | None, points: ArrayLike) -> Float[np.ndarray, "n
 
 
 def _drawn(cloud: PointCloud) -> OrientedPoints:
-    points, areas = np.asarray(cloud.points), np.asarray(cloud.areas)
+    areas = np.asarray(cloud.areas)
     share = areas / np.sum(areas)
     count = min(POINTS, int(np.sum(share > 0)))
-    chosen = np.random.default_rng(0).choice(len(points), count, False, share)
-    triangles = None if cloud.triangles is None else np.asarray(cloud.triangles)
-    edge = edge_points(triangles, len(points))
-    return OrientedPoints(
-        points[chosen], np.asarray(cloud.normals)[chosen], edge[chosen]
-    )
+    chosen = np.random.default_rng(0).choice(len(share), count, False, share)
+    return oriented(cloud).among(chosen)
 
 
-def _first(surface: OrientedPoints, count: int) -> OrientedPoints:
-    return OrientedPoints(*(values[:count] for values in surface))
-
-
-def _size(points) -> float:
-    return float(np.linalg.norm(points - points.mean(axis=0)) / np.sqrt(len(points)))
+def _size(points: Float[np.ndarray, "n 3"]) -> float:
+    return radius_of_gyration(points, np.full(len(points), 1 / len(points)))
 
 
 def _beginnings(ours: OrientedPoints, theirs: OrientedPoints) -> list[Similarity]:
@@ -168,11 +160,9 @@ def _next_to(x, y, weights) -> Similarity:
     share = weights / np.sum(weights)
     centres = share @ x, share @ y
     x, y = x - centres[0], y - centres[1]
-    u, s, vt = np.linalg.svd((share[:, None] * y).T @ x)
-    signs = np.array([1, 1, np.sign(np.linalg.det(u @ vt))])
-    rotation = (u * signs) @ vt
-    scale = float(np.sum(s * signs) / np.sum(share @ x**2))
-    return Similarity(scale, rotation, centres[1] - scale * rotation @ centres[0])
+    (turn,) = rotations((share[:, None] * x)[None], y)
+    scale = float(share @ np.sum((x @ turn) * y, axis=1) / np.sum(share @ x**2))
+    return Similarity(scale, turn.T, centres[1] - scale * centres[0] @ turn)
 
 
 def _angle(a, b) -> float:

@@ -7,6 +7,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
+from ..manifolds import PointCloud
+
 NEIGHBOURS = 5  # of each point on the other surface, whose mean is its match
 CLOSEST = 1e-5  # of the size: what is nearer weighs no more
 FAR = 6.0  # standard deviations at which a match is as likely an outlier
@@ -21,6 +23,9 @@ class OrientedPoints(NamedTuple):
     """Unit length."""
     on_edge: Bool[np.ndarray, " n"]
     """Where the surface ends."""
+
+    def among(self, chosen: Int[np.ndarray, " m"] | slice) -> "OrientedPoints":
+        return OrientedPoints(*(values[chosen] for values in self))
 
 
 class Matches(NamedTuple):
@@ -123,3 +128,11 @@ def edge_points(
         sides, times = np.unique(sides, axis=0, return_counts=True)
         on_edge[sides[times == 1]] = True
     return on_edge
+
+
+def oriented(surface: PointCloud) -> OrientedPoints:
+    points = np.asarray(surface.points)
+    triangles = surface.triangles
+    triangles = None if triangles is None else np.asarray(triangles)
+    edge = edge_points(triangles, len(points))
+    return OrientedPoints(points, np.asarray(surface.normals), edge)

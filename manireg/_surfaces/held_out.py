@@ -7,8 +7,7 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from .._selection.folds import training_sets
-from .._solver.model import RegressionMap
-from .landmark_fit import LandmarkFit, landmark_fit, unprojected
+from .landmark_fit import LandmarkFit, errors_at, landmark_fit, unprojected
 from .scans import Scans
 from .surface_rounds import fit_surface
 
@@ -57,10 +56,6 @@ def held_out(scans: Scans, fit: LandmarkFit, centres: int, progress: bool) -> He
             centres,
             False,
         )
-        alone[out] = _errors(model, x[out], scans.y[out])
-        whole[out] = _errors(both.model, x[out], scans.y[out])
+        alone[out] = errors_at(model, x[out], scans.y[out])
+        whole[out] = errors_at(both.model, x[out], scans.y[out])
     return HeldOut(alone, whole)
-
-
-def _errors(model: RegressionMap, x, y) -> Float[np.ndarray, " i"]:
-    return np.linalg.norm(np.asarray(model(x)) - y, axis=1)

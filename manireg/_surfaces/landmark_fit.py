@@ -20,7 +20,7 @@ from .._sources.sources import Ambient
 from ..manifolds import PointCloud
 from .scans import Scans
 
-Centres = dict[tuple[str, int], tuple[float, ...]]
+Choices = dict[tuple[str, int], tuple[float, ...]]
 
 
 class LandmarkFit(NamedTuple):
@@ -35,7 +35,7 @@ class LandmarkFit(NamedTuple):
 
 def landmark_fit(
     scans: Scans,
-    choices: Centres,
+    choices: Choices,
     lam: ScalarLike | None,
     leave_out: bool,
     progress: bool,
@@ -59,7 +59,7 @@ def landmark_fit(
     return min(found, key=_predicted_error)
 
 
-def choices_of(geometry, centres, tension) -> Centres:
+def choices_of(geometry, centres, tension) -> Choices:
     """Tensions to be tried with each geometry and number of centres; the intrinsic energy
     has none."""
     wrong = [g for g in np.atleast_1d(geometry) if g not in ("ambient", "intrinsic")]
@@ -76,6 +76,14 @@ def choices_of(geometry, centres, tension) -> Centres:
 def unprojected(model: RegressionMap, cloud: PointCloud) -> Float[Array, "n 3"]:
     """Where the map of space sends the points, before they are projected onto N."""
     return evaluate(model.basis, model.coefficients, cloud.points, model.origin)[0]
+
+
+def errors_at(
+    model: RegressionMap, x: Float[np.ndarray, "l 3"], y: Float[np.ndarray, "l 3"]
+) -> Float[np.ndarray, " l"]:
+    """Distances between where x are sent and belong."""
+    sent = np.asarray(model(x)) if len(x) else x
+    return np.linalg.norm(sent - y, axis=1)
 
 
 def _problem(scans: Scans, geometry: str, centres: int, tension: float) -> Problem:

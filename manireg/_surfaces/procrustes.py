@@ -34,18 +34,18 @@ def procrustes(specimens: Float[np.ndarray, "k n s"]) -> Procrustes:
     x = x / sizes[:, None, None]
     mean = x[0]
     for _ in range(MOST):
-        last, mean = mean, np.mean(x @ _rotations(x, mean), axis=0)
+        last, mean = mean, np.mean(x @ rotations(x, mean), axis=0)
         mean = mean / np.linalg.norm(mean)
         if np.linalg.norm(mean - last) <= SETTLED:
             break
-    (turn,), size = _rotations(mean[None], x[0]), sizes.mean()
+    (turn,), size = rotations(mean[None], x[0]), sizes.mean()
     mean = mean @ turn
-    aligned = x @ _rotations(x, mean)
+    aligned = x @ rotations(x, mean)
     spread = float(np.sum((aligned - mean) ** 2))
     return Procrustes(size * aligned, sizes, size * mean, spread)
 
 
-def _rotations(x, b) -> Float[np.ndarray, "k s s"]:
+def rotations(x, b) -> Float[np.ndarray, "k s s"]:
     """That bring each of x closest to b, from the right (Kabsch 1976)."""
     u, _, vt = np.linalg.svd(np.einsum("kni,nj->kij", x, b))
     hand = np.linalg.det(u @ vt) < 0

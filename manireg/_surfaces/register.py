@@ -18,7 +18,7 @@ from .align import moved_by
 from .folds import agreement, without_folds
 from .given import given_surface
 from .held_out import check_enough, held_out
-from .landmark_fit import choices_of, landmark_fit, unprojected
+from .landmark_fit import choices_of, errors_at, landmark_fit, unprojected
 from .landmark_pairs import landmark_pairs, nothing_paired
 from .landmarks import LandmarksLike
 from .registration import Registration
@@ -149,12 +149,11 @@ def register(
     if left:
         _warn_of_folds(left)
     weights = fit.match_weights
-    landed = np.asarray(fit.model(x)) if len(x) else x
     return Registration(
         vertices=image(fit.model),
         model=fit.model,
         cv=cv,
-        landmark_errors=np.linalg.norm(landed - pairs.y, axis=1),
+        landmark_errors=errors_at(fit.model, x, pairs.y),
         match_weights=None if weights is None else weights[piece.of_vertex],
         source=piece,
         target=theirs,

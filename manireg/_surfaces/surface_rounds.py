@@ -20,7 +20,7 @@ from .._solver.minimise import gauge, stage_of
 from .._solver.model import RegressionMap, regression_map
 from .._sources.sources import Ambient
 from ..manifolds import PointCloud
-from .correspondence import Matches, OrientedPoints, edge_points, matches
+from .correspondence import Matches, OrientedPoints, matches, oriented
 from .linear_map import linear_map
 from .scans import Onto
 
@@ -85,7 +85,7 @@ def fit_surface(
     start, lam = np.asarray(start), stiffer * lam
     aims = np.concatenate([start, y])
     w = space.fitted(aims, np.asarray(problem.weights), first)
-    theirs, edge = _oriented(onto.cloud), _oriented(source).on_edge
+    theirs, edge = oriented(onto.cloud), oriented(source).on_edge
     length = NORMAL_LENGTH * radius
     normals = np.concatenate([np.asarray(source.normals), np.zeros_like(x)])
     found = Matches(points, share)
@@ -121,14 +121,6 @@ def _schedule(problem: Problem, radius: float) -> tuple[float, float, np.ndarray
     first, last = map(of_wavelength, VISCOUS)
     viscosities = np.geomspace(first, last, ROUNDS)
     return of_wavelength(START), of_wavelength(ELASTIC), viscosities
-
-
-def _oriented(surface: PointCloud) -> OrientedPoints:
-    points = np.asarray(surface.points)
-    triangles = surface.triangles
-    triangles = None if triangles is None else np.asarray(triangles)
-    edge = edge_points(triangles, len(points))
-    return OrientedPoints(points, np.asarray(surface.normals), edge)
 
 
 def _with_matches(problem: Problem, found: Matches, y, weights) -> Problem:
