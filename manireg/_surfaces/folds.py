@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from typing import TypeVar
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 
 from ..manifolds import PointCloud
 
@@ -26,9 +26,9 @@ def agreement(
     doubled = np.linalg.norm(normals, axis=1)
     flat = doubled <= COLLAPSED * np.mean(doubled)
     normals /= np.where(flat, np.nan, doubled)[:, None]
-    centroids = jnp.asarray(vertices[faces].mean(axis=1))
-    there = np.asarray(target.normals[target.nearest(centroids)])
-    return np.sum(normals * there, axis=1)
+    # on the host: in a program a single centroid far away holds up all the others
+    nearest = KDTree(np.asarray(target.points)).query(vertices[faces].mean(axis=1))[1]
+    return np.sum(normals * np.asarray(target.normals)[nearest], axis=1)
 
 
 Fit = TypeVar("Fit")
