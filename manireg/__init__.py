@@ -68,11 +68,13 @@ from ._surfaces.registration import Registration as Registration
 from ._surfaces.slide import Slid as Slid, slide as slide
 from .manifolds import (
     AbstractManifold as AbstractManifold,
+    AffineInvariantSPD as AffineInvariantSPD,
     Cylinder as Cylinder,
     Ellipsoid as Ellipsoid,
     Euclidean as Euclidean,
     FlatTorus as FlatTorus,
     Grassmann as Grassmann,
+    Hyperbolic as Hyperbolic,
     LevelSet as LevelSet,
     PlanarShapes as PlanarShapes,
     PointCloud as PointCloud,

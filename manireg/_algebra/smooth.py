@@ -149,3 +149,36 @@ def cos_sinc(squared: Float[Array, "..."]) -> tuple[Array, Array]:
 def norm_squared(v: Float[Array, "..."], axes: int = 1) -> Float[Array, "..."]:
     """Sum of squares over the last `axes` axes."""
     return jnp.sum(v**2, axis=tuple(range(-axes, 0)))
+
+
+_H_SERIES = [(-1) ** n * a for n, a in enumerate(_F_SERIES)]
+_H_SLOPE_SERIES = [(-1) ** n * a for n, a in enumerate(_G_SERIES)]
+
+
+def squared_hyperbolic_angle(q: Float[Array, "..."]) -> Float[Array, "..."]:
+    r"""$-F(-q) = 4\, \mathrm{arsinh}^2(\sqrt q / 2)$: $\theta^2$ for the squared chord
+    $q = 2 \cosh\theta - 2$ of the unit hyperboloid."""
+    small, near, far = _near_and_far(q, np.inf)
+    outer = 4.0 * jnp.arcsinh(jnp.sqrt(far) / 2.0) ** 2
+    return jnp.where(small, near * _horner(_H_SERIES, near), outer)
+
+
+def angle_over_sinh(q: Float[Array, "..."]) -> Float[Array, "..."]:
+    r"""$\theta / \sinh\theta$, its derivative."""
+    small, near, far = _near_and_far(q, np.inf)
+    angle = 2.0 * jnp.arcsinh(jnp.sqrt(far) / 2.0)
+    outer = angle / jnp.sqrt(far * (1.0 + far / 4.0))
+    return jnp.where(small, _horner(_H_SLOPE_SERIES, near), outer)
+
+
+def cosh_sinhc(squared: Float[Array, "..."]) -> tuple[Array, Array]:
+    r"""$(\cosh r, \sinh r / r)$ as functions of $r^2$, smooth at r = 0."""
+    small = squared < 1e-2
+    near = jnp.where(small, squared, 0.0)
+    far = jnp.sqrt(jnp.where(small, 1.0, squared))
+    cosine = _horner([1.0, 1 / 2, 1 / 24, 1 / 720, 1 / 40320, 1 / 3628800], near)
+    sinc = _horner([1.0, 1 / 6, 1 / 120, 1 / 5040, 1 / 362880, 1 / 39916800], near)
+    return (
+        jnp.where(small, cosine, jnp.cosh(far)),
+        jnp.where(small, sinc, jnp.sinh(far) / far),
+    )

@@ -34,7 +34,7 @@ def along_curve(
     near: AbstractManifold, psi: Sequence[Float[Array, " t"]]
 ) -> Float[Array, " t"]:
     r"""$(D/ds)^{p-1} (\pi \circ \psi)'$ of a curve with the derivatives
-    $\psi, \psi', \dots, \psi^{(p)}$, flattened."""
+    $\psi, \psi', \dots, \psi^{(p)}$, in orthonormal coordinates, flattened."""
     points = [row.reshape(near.point_shape) for row in psi]
     return near.covariant_derivative(points).ravel()
 

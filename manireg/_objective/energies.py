@@ -71,13 +71,6 @@ class AbstractEnergy(AbstractTerm):
         costs = np.append(np.zeros(lower), multiplicities(m, self.order))
         return jnp.asarray(costs), np.zeros((1, 1))
 
-    def square(self, near: AbstractManifold, jet: Jet, args):
-        """The sum of the squared lengths of the tangent vectors that `residual` holds, in
-        the target's own metric."""
-        p = jet.value.reshape(near.point_shape)
-        vectors = self.residual(near, jet, args).reshape(-1, *near.point_shape)
-        return jnp.sum(near.squared_norm(p, vectors))
-
     def factor(self, lam, gamma):
         return lam
 

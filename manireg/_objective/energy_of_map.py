@@ -56,10 +56,7 @@ def energy(
     def density(geodesics):
         along = lambda curve: along_curve(target, _derivatives(source, map, curve))
         values = jax.vmap(along)(_curves(geodesics, m, order))
-        vectors = roots(m, order) * (components(m, order) @ values)
-        p = _value(source, map, geodesics[0]).reshape(target.point_shape)
-        vectors = vectors.reshape(-1, *target.point_shape)
-        return jnp.sum(target.squared_norm(p, vectors))
+        return jnp.sum((roots(m, order) * (components(m, order) @ values)) ** 2)
 
     return _integrate(density, domain, order)
 

@@ -48,7 +48,9 @@ class GeodesicMisfit(AbstractMisfit):
 
     def residual(self, near: AbstractManifold, jet: Jet, args):
         y, precision = args
-        return jnp.sqrt(precision) * (project_flat(near, jet.value) - y)
+        p = project_flat(near, jet.value).reshape(near.point_shape)
+        gap = near.residual(y.reshape(near.point_shape), p)
+        return jnp.sqrt(precision) * gap.ravel()
 
     def square(self, near: AbstractManifold, jet: Jet, args):
         y, precision = args
@@ -65,8 +67,9 @@ class WhitenedMisfit(AbstractMisfit):
 
     def residual(self, near: AbstractManifold, jet: Jet, args):
         y, factor = args
+        y = y.reshape(near.point_shape)
         p = project_flat(near, jet.value).reshape(near.point_shape)
-        return factor @ near.log(y.reshape(near.point_shape), p).ravel()
+        return factor @ near.orthonormal(y, near.log(y, p)).ravel()
 
 
 class Pull(AbstractTerm):

@@ -13,7 +13,7 @@ from .._objective.problem import Problem
 from .._solver.at_minimum import at_minimum
 from .._solver.minimise import minimise, newton_minimiser
 from .._solver.model import RegressionMap
-from ..manifolds._defaults.frames import tangent_frames
+from ..manifolds._defaults.frames import orthonormal_axes, tangent_frames
 from .sweep import sweep
 
 RTOL = 1e-8  # predicted relative decrease of the last Newton step
@@ -46,8 +46,9 @@ def bootstrap(model: RegressionMap, key: PRNGKeyArray, m: int) -> list[Regressio
     fitted = model(problem.source.from_ambient(problem.x))
     flat = np.asarray(fitted).reshape(len(problem.y), -1)
     frames = tangent_frames(target, flat)
+    axes = orthonormal_axes(target, flat, frames)
     normal = jax.random.normal(key, (m, len(flat), target.dim))
-    steps = np.einsum("ktn,mkn->mkt", frames, _coloured(problem, frames, normal))
+    steps = np.einsum("ktn,mkn->mkt", frames, _coloured(problem, axes, normal))
     steps *= np.sqrt(found.spread.variance)
     shape = (m, len(flat), *target.point_shape)
     y = target.project(target.exp(fitted[None], jax.device_put(steps.reshape(shape))))

@@ -15,7 +15,7 @@ from .._solver.at_minimum import at_minimum
 from .._solver.model import RegressionMap
 from .._sources.input_errors import InputErrors
 from .._sources.noise import Noise
-from ..manifolds._defaults.frames import tangent_frames
+from ..manifolds._defaults.frames import orthonormal_axes, tangent_frames
 from .noise import Again, Scatter, renewed, scaled
 
 ROUNDS = 10
@@ -76,9 +76,11 @@ def _widened(
 ) -> Noise:
     """With the variance along the velocity: of precisions, P - P v v^T P / (1 / s^2 +
     v^T P v)."""
-    frames = tangent_frames(problem.target, np.asarray(problem.y))
+    target, y = problem.target, np.asarray(problem.y)
+    frames = orthonormal_axes(target, y, tangent_frames(target, y))
     velocity = np.asarray(model.velocity(problem.source.from_ambient(problem.x)))
-    v = np.einsum("ktn,kt->kn", frames, velocity.reshape(len(frames), -1))
+    velocity = velocity.reshape(len(frames), -1, 1)
+    v = np.einsum("ktn,kto->kn", frames, orthonormal_axes(target, y, velocity))
     P = _in_frames(noise, frames)
     Pv = np.einsum("kij,kj->ki", P, v)
     variance = errors.deviation**2

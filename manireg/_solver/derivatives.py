@@ -65,7 +65,9 @@ def tangent_of_curve(
 ) -> Float[Array, "..."]:
     r"""$(D/dx)^{J-2} (\pi \circ \psi)'$ of a curve psi with this jet: the velocity from
     two rows, the acceleration from three."""
-    return target.covariant_derivative([row.reshape(target.point_shape) for row in jet])
+    psi = [row.reshape(target.point_shape) for row in jet]
+    coordinates = target.covariant_derivative(psi)
+    return target.from_orthonormal(target.project(psi[0]), coordinates)
 
 
 def tangents_of_frame(

@@ -4,17 +4,27 @@ import jax
 import jax.numpy as jnp
 
 from .._objective.terms import project_flat
+from ..manifolds._defaults.frames import coordinates
 from .derivatives import tangent_of_curve
 from .readings import angular_velocity, sphere_motion
 
 
 def slope(target, psi, frame):
     """Of the projection, in the frame of the tangent space."""
-    return frame.T @ jax.jacfwd(lambda q: project_flat(target, q))(psi)
+    columns = jax.jacfwd(lambda q: project_flat(target, q))(psi)
+    return jax.vmap(lambda v: _in_frame(target, psi, frame, v), 1, 1)(columns)
 
 
 def in_frame(target, psi, frame):
-    return frame.T @ project_flat(target, psi[0])
+    """Near the map, whose own coordinates are 0."""
+    here = jax.lax.stop_gradient(project_flat(target, psi[0]))
+    gap = project_flat(target, psi[0]) - here
+    return _in_frame(target, jax.lax.stop_gradient(psi[0]), frame, gap)
+
+
+def _in_frame(target, psi, frame, v):
+    p = target.project(psi.reshape(target.point_shape))
+    return coordinates(target, p, frame, v.ravel())
 
 
 def _velocity(target, psi):
@@ -22,7 +32,20 @@ def _velocity(target, psi):
 
 
 def velocity_in_frame(target, psi, frame):
-    return frame.T @ _velocity(target, psi).ravel()
+    """Its derivative is the covariant one: the frame is carried along."""
+    p, velocity = (
+        target.project(psi[0].reshape(target.point_shape)),
+        _velocity(target, psi),
+    )
+    here, v = jax.lax.stop_gradient((p, velocity))
+    value = coordinates(target, here, frame, velocity.ravel())
+    if target.isometric:
+        return value
+    # the connection along the displacement: half of what is quadratic in the velocity
+    bend = lambda v: target.covariant_derivative([here, v, jnp.zeros_like(v)])
+    turned = 0.5 * jax.jvp(bend, (v,), (p - here,))[1]
+    turned = target.from_orthonormal(here, turned)
+    return value + coordinates(target, here, frame, turned.ravel())
 
 
 def turn_in_space(target, psi):

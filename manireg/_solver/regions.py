@@ -13,6 +13,7 @@ from .._algebra.small import solve_symmetric
 from .._input.numbers import Numbers
 from .._programs.sizes import at_each
 from .._sources.checks import check_points
+from ..manifolds._defaults.frames import coordinates
 
 
 class Region(eqx.Module):
@@ -104,7 +105,7 @@ def conformal_radius(
 
 def _mahalanobis(target, centre, point, frame, covariance):
     log = target.log(centre, point.reshape(target.point_shape)).ravel()
-    z = frame.T @ log
+    z = coordinates(target, centre, frame, log)
     return jnp.sum(z * solve_symmetric(covariance, z))
 
 

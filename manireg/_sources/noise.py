@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from .._input.numbers import Numbers, as_numbers
 from .._input.positive import refuse_other_than_positive
 from ..manifolds import AbstractManifold
-from ..manifolds._defaults.frames import tangent_frames
+from ..manifolds._defaults.frames import orthonormal_axes, tangent_frames
 
 ALIKE = 1e-6  # frames against orthonormal ones of the tangent space
 SYMMETRIC = 1e-8  # of the largest entry of a matrix
@@ -60,18 +60,19 @@ def check_noise(
         raise ValueError(
             "sigma, precision: both say how precise data are; give one of them."
         )
-    basis = tangent_frames(target, y)
+    tangent = tangent_frames(target, y)
+    axes = orthonormal_axes(target, y, tangent)
     matrices = as_numbers("precision", precision)
     if frames is None:
         matrices = _ambient(target, matrices, len(y))
-        reduced = np.swapaxes(basis, 1, 2) @ _symmetric(matrices) @ basis
+        reduced = np.swapaxes(tangent, 1, 2) @ _symmetric(matrices) @ tangent
     else:
-        basis = _frames(target, as_numbers("frames", frames), basis)
+        axes = _frames(target, y, as_numbers("frames", frames), axes)
         _check_intrinsic(target, matrices, len(y))
         reduced = _symmetric(matrices)
     values, vectors = np.linalg.eigh(reduced)
     values = _semidefinite(values, _largest(matrices))
-    return Noise(jax.device_put(values), jax.device_put(basis @ vectors))
+    return Noise(jax.device_put(values), jax.device_put(axes @ vectors))
 
 
 def _isotropic(sigma: Numbers, k: int) -> Noise:
@@ -152,9 +153,10 @@ def _semidefinite(
 
 
 def _frames(
-    target, frames: np.ndarray, basis: Float[np.ndarray, "k t n"]
+    target, y, frames: np.ndarray, basis: Float[np.ndarray, "k t n"]
 ) -> Float[np.ndarray, "k t n"]:
-    """The orthonormal frames closest to those given, which are nearly so."""
+    """The orthonormal frames closest to those given, which are nearly so; as `basis` in
+    orthonormal coordinates."""
     (k, t, n), shape = basis.shape, target.point_shape
     if frames.shape not in ((k, t, n), (k, *shape, n)):
         other = f" or {(k, *shape, n)}" * (len(shape) > 1)
@@ -165,6 +167,7 @@ def _frames(
     frames = frames.reshape(k, t, n)
     bad = ~np.all(np.isfinite(frames), axis=(1, 2))
     _refuse(bad, "hold NaN or infinity or are missing", NO_NOISE, "frames")
+    frames = orthonormal_axes(target, y, frames)
     inside = np.swapaxes(basis, 1, 2) @ frames
     off = np.linalg.norm(frames - basis @ inside, axis=1)
     _refuse(

@@ -13,8 +13,10 @@ from ._defaults.second_form import (
 from ._ellipsoid import Ellipsoid as Ellipsoid
 from ._euclidean import Euclidean as Euclidean
 from ._flat_torus import FlatTorus as FlatTorus
+from ._hyperbolic import Hyperbolic as Hyperbolic
 from ._laws import check_manifold as check_manifold
 from ._level_set import LevelSet as LevelSet
+from ._matrices.affine_invariant_spd import AffineInvariantSPD as AffineInvariantSPD
 from ._matrices.grassmann import Grassmann as Grassmann
 from ._matrices.planar_shapes import PlanarShapes as PlanarShapes
 from ._matrices.spd import SymmetricPositiveDefinite as SymmetricPositiveDefinite

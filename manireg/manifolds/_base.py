@@ -4,7 +4,6 @@ import abc
 from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, ScalarLike
 
@@ -14,8 +13,9 @@ from ._membership import by_reach, check_on
 
 
 class AbstractManifold(AbstractSource):
-    r"""A Riemannian manifold N of dimension n, isometrically embedded in a vector space
-    of arrays of shape `point_shape` (flattened: $\mathbb{R}^t$).
+    r"""A Riemannian manifold N of dimension n in a vector space of arrays of shape
+    `point_shape` (flattened: $\mathbb{R}^t$), isometrically embedded unless it brings a
+    metric of its own (`isometric`).
 
     Letters: `p`, `q` points (or ambient points near N), `u`, `v` ambient vectors. Every
     method accepts leading batch dimensions, which broadcast: points and vectors are
@@ -79,23 +79,49 @@ class AbstractManifold(AbstractSource):
         """`n` random points, `(n, *point_shape)`: uniform where N is compact and
         homogeneous, else some distribution of full support."""
 
-    # The metric, as a scan, as a source, as the place of data. One of your own can leave
-    # these.
+    # The metric, where it is not that of the ambient space. One of your own can leave
+    # this, and all that follows.
 
-    def squared_norm(
+    @property
+    def isometric(self) -> bool:
+        """Whether the metric is that of the ambient space. One with another overrides the
+        next three methods (and `squared_distance`, `exp`, `log`); `project` may then be
+        any smooth retraction, `tangent_projection` any projection, and
+        `second_fundamental_form` is the ambient derivative less the covariant one: the
+        acceleration of geodesics."""
+        return True
+
+    def orthonormal(
         self, p: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        r"""$|v|^2$ of vectors tangent at $\pi(p)$, shape `(...)`; here in that of the
-        ambient space."""
-        return jnp.sum(v**2, axis=tuple(range(-len(self.point_shape), 0)))
+        r"""Coordinates of vectors tangent at `p` on N in which the metric is Euclidean,
+        $g_p(u, v) = \langle o_p(u), o_p(v) \rangle$, of the shape of `v`, smooth in p;
+        here `v` itself."""
+        return v
+
+    def from_orthonormal(
+        self, p: Float[Array, "..."], c: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """The tangent vector with these coordinates."""
+        return c
+
+    def residual(
+        self, y: Float[Array, "..."], p: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        r"""What p on N misses y on N by: $\log_y p$ to first order in p, in coordinates
+        orthonormal at y. Here the chord."""
+        return p - y
 
     def covariant_derivative(
         self, psi: Sequence[Float[Array, "..."]]
     ) -> Float[Array, "..."]:
         r"""$(D/ds)^{p-1} (\pi \circ \psi)'$ of a curve near N with the derivatives
-        $\psi, \psi', \dots, \psi^{(p)}$, single points; here by automatic
-        differentiation of the projection and the second fundamental form."""
-        return covariant_derivative(self, psi)
+        $\psi, \psi', \dots, \psi^{(p)}$, single points, in `orthonormal` coordinates;
+        here by automatic differentiation of the projection and the second fundamental
+        form."""
+        return self.orthonormal(self.project(psi[0]), covariant_derivative(self, psi))
+
+    # As a scan, as a source, as the place of data.
 
     def nearest(self, p: Float[Array, "... s"]) -> Int[Array, "..."] | None:
         """Which of its patches are near ambient points, flattened; None: it has none."""

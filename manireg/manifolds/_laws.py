@@ -1,6 +1,5 @@
-"""The laws of a manifold, as a test that anyone can run on a manifold of their own."""
-
-from typing import NamedTuple
+"""The laws of a manifold, as a test that anyone can run on a manifold of their own: of
+one with the metric of the ambient space here, of others in `_metric_laws`."""
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +7,8 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from ._base import AbstractManifold
+from ._law import Law
+from ._metric_laws import METRIC_LAWS, metric_violations
 from ._violations import violations
 
 
@@ -27,6 +28,7 @@ def check_manifold(
     Distances and `log` are tested at .5 and .9 of the injectivity radius, `log` at
     `log_up_to` of it, too: .999 is for a closed formula, which shooting cannot follow.
     (`squared_distance` is a loss and may be continued beyond .9, to stay smooth.)
+    A manifold that is not `isometric` has laws of its own metric.
 
     **Returns:** the largest violation of each law.
 
@@ -64,8 +66,11 @@ def check_manifold(
     lengths = [unit, *(r if np.isfinite(r) else unit for r in radii.values())]
     key = jax.random.key(0) if key is None else key
     measures = map(jnp.array, (*lengths, float(log_up_to)))
-    found = jax.device_get(violations(manifold, points, key, *measures))
-    for law, violation in zip(_LAWS, found, strict=True):
+    laws, measure = _LAWS, violations
+    if not manifold.isometric:
+        laws, measure = METRIC_LAWS, metric_violations
+    found = jax.device_get(measure(manifold, points, key, *measures))
+    for law, violation in zip(laws, found, strict=True):
         violation = np.where(np.isnan(violation), np.inf, violation)
         worst = int(np.argmax(violation))
         if not violation[worst] <= atol:
@@ -77,130 +82,124 @@ def check_manifold(
                 f"    {law.statement}\n{size} at point {worst}:\n{points[worst]}\n"
                 f"{law.cure}"
             )
-    return {law.statement: float(v.max()) for law, v in zip(_LAWS, found)}
-
-
-class _Law(NamedTuple):
-    statement: str
-    method: str
-    cure: str
+    return {law.statement: float(v.max()) for law, v in zip(laws, found)}
 
 
 # From causes to consequences: the first one broken is the one to look at.
 _LAWS = (
-    _Law(
+    Law(
         "project(p) = p",
         "project",
         "If the point lies on the manifold, `project` moves it; else check `points`.",
     ),
-    _Law(
+    Law(
         "project(project(x)) = project(x)",
         "project",
         "It must end on the manifold: iterate to convergence.",
     ),
-    _Law(
+    Law(
         "tangent_projection is symmetric and idempotent",
         "tangent_projection",
         "It must be the orthogonal projection, P = P^T = P^2: check scale factors.",
     ),
-    _Law(
+    Law(
         "tangent_projection has rank dim",
         "tangent_projection",
         "Its trace is its rank: check `dim`, or directions lost or left in.",
     ),
-    _Law(
+    Law(
         "D project(p)[w] = tangent_projection(p, w), in forward and reverse mode",
         "tangent_projection",
         "Either it projects on another space than the tangent space of what `project` "
         "projects on, or the derivative rule of `project` is wrong.",
     ),
-    _Law(
+    Law(
         "x - project(x) is normal",
         "project",
         "It must return the closest point, not just some point of the manifold.",
     ),
-    _Law(
+    Law(
         "D project and D^2 project agree with finite differences",
         "project",
         "Its derivative rule is wrong off the manifold, or it is not smooth there; an "
         "iteration needs `implicit_solution` or `implicit_projection`.",
     ),
-    _Law(
+    Law(
         "project(p +- normal) = p within 0.7 reach",
         "project",
         "It must return the closest point; if it does, `reach` is too large.",
     ),
-    _Law(
+    Law(
         "tangent_projection(x, w) = tangent_projection(project(x), w)",
         "tangent_projection",
         "Off the manifold it must project on the tangent space at the closest point.",
     ),
-    _Law(
+    Law(
         "second_fundamental_form(p, u, v) = D^2 project(p)[u, v]",
         "second_fundamental_form",
         "Check its sign and factors; `second_form_of_projection` computes it.",
     ),
-    _Law(
+    Law(
         "second_fundamental_form(p, u, v) = D tangent_projection(p, v)[u]",
         "tangent_projection",
         "Its derivative in p is wrong: it may be constant in p, or hold a wrong rule.",
     ),
-    _Law(
+    Law(
         "second_fundamental_form is symmetric and normal",
         "second_fundamental_form",
         "II(u, v) = II(v, u), without tangent part, for tangent u, v.",
     ),
-    _Law("exp(p, 0) = p", "exp", "Check v = 0, and 0/0 in sin |v| / |v|."),
-    _Law(
+    Law("exp(p, 0) = p", "exp", "Check v = 0, and 0/0 in sin |v| / |v|."),
+    Law(
         "project(exp(p, v)) = exp(p, v)",
         "exp",
         "Its end points leave the manifold: check the scale of v.",
     ),
-    _Law(
+    Law(
         "exp(p, t v) starts with velocity v and keeps its speed",
         "exp",
         "The geodesic must reach its end at time 1 with speed |v|.",
     ),
-    _Law(
+    Law(
         "exp(p, t v) has normal acceleration",
         "exp",
         "The curve stays on the manifold but is no geodesic.",
     ),
-    _Law(
+    Law(
         "log(p, exp(p, v)) = v and log(p, p) = 0",
         "log",
         "The tests have |v| = .5, .9 and `log_up_to` of the injectivity radius; if `log` "
         "inverts `exp` for smaller v, `injectivity_radius` is too large, or a factor "
         "theta / sin(theta) is lost in rounding: theta = 2 arctan2(|p - q|, |p + q|).",
     ),
-    _Law(
+    Law(
         "squared_distance(p, p) = 0",
         "squared_distance",
         "Compute it from p - q, not from 1 - <p, q>.",
     ),
-    _Law(
+    Law(
         "squared_distance(p, exp(p, v)) = |v|^2",
         "squared_distance",
         "It must be the square of the length of the shortest geodesic, up to .9 of the "
         "injectivity radius: check factors.",
     ),
-    _Law(
+    Law(
         "squared_distance(p, q) = squared_distance(q, p)",
         "squared_distance",
         "Check where p and q enter differently.",
     ),
-    _Law(
+    Law(
         "squared_distance has gradient 0 and Hessian 2 I at coincidence",
         "squared_distance",
         "Not finite: arccos, sqrt or a norm at 0; write it as a smooth function of "
         "the squared chord |p - q|^2.",
     ),
-    _Law(
+    Law(
         "the gradient of squared_distance(p, .) at q is -2 log(q, p)",
         "squared_distance",
         "Its derivative is wrong away from coincidence, at half the injectivity radius.",
     ),
-    _Law(
+    Law(
         "random_points lie on the manifold and differ",
         "random_points",
         "Project them; draw a new sample for a new key.",

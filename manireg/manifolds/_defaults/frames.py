@@ -25,13 +25,46 @@ def _frame_at(source: AbstractManifold, p: Float[Array, "..."]) -> Float[Array, 
 def frames_at(
     source: AbstractManifold, points: Float[Array, "Q *point_shape"]
 ) -> Float[Array, "Q s m"]:
-    """The same, of points, under `jit`: eigenvectors of the tangent projections."""
+    """The same, of points, under `jit`: eigenvectors of the metric, which where that is
+    of the ambient space is the tangent projection."""
     s = math.prod(source.point_shape)
     axes = jnp.eye(s).reshape(s, *source.point_shape)
-    project = lambda p: jax.vmap(lambda v: source.tangent_projection(p, v))(axes)
-    projectors = jax.vmap(project)(points).reshape(-1, s, s)
-    symmetric = 0.5 * (projectors + jnp.swapaxes(projectors, 1, 2))
-    return eigh(symmetric)[1][:, :, s - source.dim :]
+
+    def images(p):
+        tangent = jax.vmap(lambda v: source.tangent_projection(p, v))(axes)
+        return tangent, jax.vmap(lambda v: source.orthonormal(p, v))(tangent)
+
+    tangent, orthonormal = (a.reshape(-1, s, s) for a in jax.vmap(images)(points))
+    metric = orthonormal @ jnp.swapaxes(orthonormal, 1, 2)
+    values, vectors = eigh(metric)
+    values, vectors = values[:, None, s - source.dim :], vectors[:, :, s - source.dim :]
+    return jnp.swapaxes(tangent, 1, 2) @ vectors / jnp.sqrt(values)
+
+
+def coordinates(
+    manifold: AbstractManifold,
+    p: Float[Array, "..."],
+    frame: Float[Array, "t n"],
+    v: Float[Array, " t"],
+) -> Float[Array, " n"]:
+    """Of a vector tangent at p on N in an orthonormal frame there."""
+    orthonormal = lambda v: manifold.orthonormal(p, v.reshape(p.shape)).ravel()
+    return jax.vmap(orthonormal, 1, 1)(frame).T @ orthonormal(v)
+
+
+def orthonormal_axes(
+    manifold: AbstractManifold, points: np.ndarray, vectors: Float[np.ndarray, "Q t n"]
+) -> Float[np.ndarray, "Q t n"]:
+    """Of tangent vectors at flattened points, columns: `orthonormal` coordinates."""
+    if manifold.isometric:
+        return vectors
+    batch = np.asarray(points).reshape(-1, *manifold.point_shape)
+    return at_each(_orthonormal, manifold, batch, vectors)
+
+
+def _orthonormal(manifold, p, vectors):
+    image = lambda v: manifold.orthonormal(p, v.reshape(p.shape)).ravel()
+    return jax.vmap(image, 1, 1)(vectors)
 
 
 def complete_frames(frames: Float[np.ndarray, "K s m"]) -> Float[np.ndarray, "K s s"]:

@@ -12,6 +12,7 @@ from ..._algebra.smooth import (
     RIGHT_ANGLE,
     angle_over_sine,
     cos_sinc,
+    cosh_sinhc,
     norm_squared,
     squared_angle,
 )
@@ -21,7 +22,7 @@ from .matrix_functions import (
     adjoint,
     closest_rotation,
     identity_like,
-    lyapunov,
+    matmul,
     skew_part,
     symmetric_part,
 )
@@ -43,7 +44,19 @@ def rotation_exp(w: Float[Array, "..."]) -> Float[Array, "..."]:
         _, sinc = cos_sinc(angle2)
         _, half_sinc = cos_sinc(angle2 / 4)
         return one + sinc * w + (half_sinc**2 / 2) * (w @ w)
-    w = jnp.where(angle2 > _LARGEST_TURN**2, jnp.nan, w / _LARGEST_TURN)
+    return _exp(jnp.where(angle2 > _LARGEST_TURN**2, jnp.nan, w))
+
+
+def symmetric_exp(s: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Matrix exponential of a symmetric matrix, to rounding where its eigenvalues differ
+    by 64 or less: the trace is taken off first."""
+    one = identity_like(s)
+    mean = jnp.trace(s, axis1=-2, axis2=-1)[..., None, None] / s.shape[-1]
+    return jnp.exp(mean) * symmetric_part(_exp(s - mean * one))
+
+
+def _exp(w: Float[Array, "..."]) -> Float[Array, "..."]:
+    one, w = identity_like(w), w / _LARGEST_TURN
     w2 = w @ w
     w3, w4 = w2 @ w, w2 @ w2
     total = _EXP_SERIES[16] * one
@@ -135,34 +148,41 @@ def squared_rotation_distance(
     return norm_squared(log_by_halves(adjoint(p) @ q), 2)
 
 
-@jax.custom_jvp
-def _square_root(s: Float[Array, "..."]) -> tuple[Float[Array, "..."], Eigen]:
-    """Of a positive definite matrix, with its eigenvalues and eigenvectors."""
-    values, vectors = eigh(s)
-    roots = jnp.sqrt(values)
-    return (vectors * roots[..., None, :]) @ adjoint(vectors), (roots, vectors)
-
-
-@_square_root.defjvp
-def _square_root_jvp(primals, tangents):
-    (s,), (ds,) = primals, tangents
-    root, eigen = _square_root(s)
-    constant = jax.tree.map(jnp.zeros_like, eigen)
-    return (root, eigen), (lyapunov(root, eigen, ds), constant)
-
-
 def symmetric_log(s: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Logarithm of a symmetric positive definite matrix: square roots until the series
-    of artanh converges to rounding for condition numbers up to 1e12."""
-    one = identity_like(s)
-    scale = jnp.trace(s, axis1=-2, axis2=-1)[..., None, None] / s.shape[-1]
-    s = s / scale
-    halvings = 6
-    for _ in range(halvings):
-        s, _ = _square_root(s)
-    k = symmetric_part(jnp.linalg.solve(one + s, s - one))
-    square = k @ k
-    total = abs(_ATAN_SERIES[-1]) * one
-    for a in _ATAN_SERIES[-2::-1]:
-        total = total @ square + abs(a) * one
-    return 2.0 ** (halvings + 1) * (k @ total) + jnp.log(scale) * one
+    """Logarithm of a symmetric positive definite matrix, by eigenvalues; derivatives of
+    all orders are exact, also where these are repeated, and where they differ by factors
+    up to 1e12."""
+    return _log(s)[0]
+
+
+@jax.custom_jvp
+def _log(s: Float[Array, "..."]) -> tuple[Float[Array, "..."], Eigen]:
+    """With its own eigenvalues and eigenvectors."""
+    values, vectors = eigh(s)
+    values = jnp.log(values)
+    return matmul(vectors * values[..., None, :], adjoint(vectors)), (values, vectors)
+
+
+@_log.defjvp
+def _log_jvp(primals, tangents):
+    (s,), (ds,) = primals, tangents
+    log, eigen = _log(s)
+    constant = jax.tree.map(jnp.zeros_like, eigen)
+    return (log, eigen), (_from_exponential(log, eigen, ds), constant)
+
+
+def _from_exponential(
+    log: Float[Array, "..."], eigen: Eigen, k: Float[Array, "..."]
+) -> Float[Array, "..."]:
+    """X with D exp(log)[X] = k: a linear solve to JAX, as `lyapunov` is."""
+    values, vectors = jax.lax.stop_gradient(eigen)
+    mean = (values[..., :, None] + values[..., None, :]) / 2
+    half = (values[..., :, None] - values[..., None, :]) / 2
+    divided = jnp.exp(mean) * cosh_sinhc(half**2)[1]
+
+    def solve(_, k):
+        inside = matmul(matmul(adjoint(vectors), k), vectors) / divided
+        return matmul(matmul(vectors, inside), adjoint(vectors))
+
+    forward = lambda x: jax.jvp(symmetric_exp, (log,), (x,))[1]
+    return jax.lax.custom_linear_solve(forward, k, solve, symmetric=True)

@@ -1,4 +1,7 @@
-"""Symmetric positive definite matrices with the log-Euclidean metric."""
+"""Symmetric positive definite matrices, known by their logarithms: what their metrics
+have in common, and the log-Euclidean one."""
+
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -16,25 +19,20 @@ from .matrix_exponentials import symmetric_log
 from .matrix_functions import symmetric_part
 
 
-class SymmetricPositiveDefinite(AbstractManifold):
-    r"""Symmetric positive definite matrices S, $d(S_1, S_2) = |\log S_1 - \log S_2|_F$.
+class AbstractPositiveDefinite(AbstractManifold):
+    """A point is the symmetric matrix $L = \\log S$, `(n, n)`: what S is, is positive
+    definite whatever L is."""
 
-    **Points are logarithms.** A point is the symmetric matrix $L = \log S$, of shape
-    `(n, n)`, not S: by $S \mapsto L$ the manifold is isometric to the flat space of all
-    symmetric matrices, which is the embedding that the energies need. Use
-    `from_matrices` on the data and `to_matrices` on predictions; these are positive
-    definite whatever L is. On points everything is Euclidean: $II = 0$, geodesics
-    are straight lines.
-
-    **Arguments:** `n` >= 1, the size of the matrices.
-    """
-
-    n: int = eqx.field(static=True)
+    if TYPE_CHECKING:
+        # a type checker would take an `AbstractVar` for an argument of the constructor
+        n: Any
+    else:
+        n: eqx.AbstractVar[int]
 
     def __check_init__(self):
         if self.n < 1:
             raise ValueError(
-                f"SymmetricPositiveDefinite: `n` must be at least 1, found {self.n}."
+                f"{type(self).__name__}: `n` must be at least 1, found {self.n}."
             )
 
     @property
@@ -60,14 +58,14 @@ class SymmetricPositiveDefinite(AbstractManifold):
         **Raises:** ValueError for another shape, masked entries, or (outside of `jit`)
         for a matrix that is not symmetric to 1e-6 or not positive definite.
         """
-        matrices = as_array("SymmetricPositiveDefinite: `matrices`", matrices)
+        matrices = as_array(f"{type(self).__name__}: `matrices`", matrices)
         if matrices.shape[-2:] != self.point_shape:
             raise ValueError(
-                f"SymmetricPositiveDefinite: matrices must have shape (..., {self.n}, "
+                f"{type(self).__name__}: matrices must have shape (..., {self.n}, "
                 f"{self.n}), found {matrices.shape}."
             )
         if is_concrete(matrices):
-            _check_positive_definite(np.asarray(matrices))
+            _check_positive_definite(type(self).__name__, np.asarray(matrices))
         return symmetric_log(symmetric_part(matrices))
 
     def to_matrices(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -83,6 +81,48 @@ class SymmetricPositiveDefinite(AbstractManifold):
     ) -> Float[Array, "..."]:
         r"""$(v + v^T)/2$."""
         return symmetric_part(jnp.broadcast_arrays(p, v)[1])
+
+    def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
+        """Standard Gaussian on the symmetric matrices."""
+        return self.project(jax.random.normal(key, (n, self.n, self.n)))
+
+    def chart(self, around: np.ndarray | None) -> Chart:
+        """Flat: orthonormal coordinates of the linear span, cut to the data."""
+        basis = tangent_frames(self, np.zeros((1, self.n**2)))[0]
+        low, high = bounding_box(self, None if around is None else around @ basis)
+        span = Partial(jnp.matmul, basis)
+        return Chart(low, high, (False,) * self.dim, span)
+
+    def doubt(self, points: np.ndarray) -> str | None:
+        """Matrices in place of their logarithms."""
+        symmetric = (points + np.swapaxes(points, -1, -2)) / 2
+        finite = len(points) > 0 and np.isfinite(points).all()
+        if self.n < 2 or not finite or not (np.linalg.eigvalsh(symmetric) > 0).all():
+            return None
+        return (
+            f"all {len(points)} points are positive definite themselves. Points of "
+            f"{type(self).__name__} are logarithms: if these are the matrices S, "
+            "convert them with M.from_matrices(S), and predictions with M.to_matrices. "
+            "(Logarithms of matrices with all eigenvalues above 1 look like this, too.)"
+        )
+
+
+class SymmetricPositiveDefinite(AbstractPositiveDefinite):
+    r"""Symmetric positive definite matrices S, $d(S_1, S_2) = |\log S_1 - \log S_2|_F$
+    (log-Euclidean: Arsigny et al. 2006).
+
+    **Points are logarithms.** A point is the symmetric matrix $L = \log S$, of shape
+    `(n, n)`, not S: by $S \mapsto L$ the manifold is isometric to the flat space of all
+    symmetric matrices, which is the embedding that the energies need. Use
+    `from_matrices` on the data and `to_matrices` on predictions; these are positive
+    definite whatever L is. On points everything is Euclidean: $II = 0$, geodesics
+    are straight lines. `AffineInvariantSPD` has the metric that does not depend on the
+    basis.
+
+    **Arguments:** `n` >= 1, the size of the matrices.
+    """
+
+    n: int = eqx.field(static=True)
 
     def second_fundamental_form(
         self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
@@ -107,38 +147,14 @@ class SymmetricPositiveDefinite(AbstractManifold):
         """The difference q - p (of logarithms); not the matrix logarithm."""
         return q - p
 
-    def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
-        """Standard Gaussian on the symmetric matrices."""
-        return self.project(jax.random.normal(key, (n, self.n, self.n)))
 
-    def chart(self, around: np.ndarray | None) -> Chart:
-        """Flat: orthonormal coordinates of the linear span, cut to the data."""
-        basis = tangent_frames(self, np.zeros((1, self.n**2)))[0]
-        low, high = bounding_box(self, None if around is None else around @ basis)
-        span = Partial(jnp.matmul, basis)
-        return Chart(low, high, (False,) * self.dim, span)
-
-    def doubt(self, points: np.ndarray) -> str | None:
-        """Matrices in place of their logarithms."""
-        symmetric = (points + np.swapaxes(points, -1, -2)) / 2
-        finite = len(points) > 0 and np.isfinite(points).all()
-        if self.n < 2 or not finite or not (np.linalg.eigvalsh(symmetric) > 0).all():
-            return None
-        return (
-            f"all {len(points)} points are positive definite themselves. Points of "
-            "SymmetricPositiveDefinite are logarithms: if these are the matrices S, "
-            "convert them with M.from_matrices(S), and predictions with M.to_matrices. "
-            "(Logarithms of matrices with all eigenvalues above 1 look like this, too.)"
-        )
-
-
-def _check_positive_definite(matrices: np.ndarray) -> None:
+def _check_positive_definite(name: str, matrices: np.ndarray) -> None:
     size = np.max(np.abs(matrices), axis=(-2, -1), initial=0.0)
     asymmetry = np.abs(matrices - np.swapaxes(matrices, -1, -2)).max((-2, -1))
     askew = np.asarray(~(asymmetry <= 1e-6 * size))
     if askew.any():
         raise ValueError(
-            f"SymmetricPositiveDefinite: `matrices` holds {askew.sum()} of {askew.size} "
+            f"{name}: `matrices` holds {askew.sum()} of {askew.size} "
             f"matrices that are not symmetric (first at index {first_index(askew)}, "
             f"largest asymmetry {np.max(asymmetry):.3g}); symmetrise."
         )
@@ -146,7 +162,7 @@ def _check_positive_definite(matrices: np.ndarray) -> None:
     bad = np.asarray(~(smallest > 0))
     if bad.any():
         raise ValueError(
-            f"SymmetricPositiveDefinite: `matrices` holds {bad.sum()} of {bad.size} "
+            f"{name}: `matrices` holds {bad.sum()} of {bad.size} "
             f"matrices (first at index {first_index(bad)}) with an eigenvalue that is not "
             f"positive, down to eigenvalue {smallest.min():.3g}; add a small multiple of "
             "the identity, or leave the matrices out."
