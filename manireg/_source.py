@@ -26,14 +26,18 @@ class Chart(eqx.Module):
       to one (but for those ends), twice differentiable, with a derivative of rank m
       everywhere: no poles, no tips.
 
-    Frames, volumes and curvature are derivatives of `embed`. **Raises** ValueError if the
-    box is empty or the lengths differ.
+    - `metric`: where lengths are not those of the ambient space, a JAX function from
+      coordinates `(m,)` to the metric $g_{ab}$, `(m, m)`.
+
+    Frames, volumes and geodesics follow from the derivatives of `embed` and `metric`.
+    **Raises** ValueError if the box is empty or the lengths differ.
     """
 
     lower: Float[np.ndarray, " _"] = eqx.field(converter=lambda v: _ends(v))
     upper: Float[np.ndarray, " _"] = eqx.field(converter=lambda v: _ends(v))
     periodic: tuple[bool, ...] = eqx.field(converter=lambda v: _answers(v))
     embed: Callable[[Array], Array]
+    metric: Callable[[Array], Array] | None = None
 
     def __check_init__(self):
         sizes = self.lower.shape, self.upper.shape, (len(self.periodic),)
@@ -50,8 +54,9 @@ class Chart(eqx.Module):
 
     def atlas(self) -> "Atlas":
         """Of this chart alone."""
-        embed = Partial(_without_label, self.embed)
-        return Atlas(self.lower[None], self.upper[None], np.zeros((1, 0)), embed)
+        unlabelled = lambda f: None if f is None else Partial(_without_label, f)
+        functions = unlabelled(self.embed), unlabelled(self.metric)
+        return Atlas(self.lower[None], self.upper[None], np.zeros((1, 0)), *functions)
 
 
 class Atlas(NamedTuple):
@@ -64,6 +69,7 @@ class Atlas(NamedTuple):
     labels: np.ndarray
     """`(F, l)`: what tells the charts apart."""
     embed: Callable[[Array, Array], Array]
+    metric: Callable[[Array, Array], Array] | None = None
 
 
 class AbstractSource(eqx.Module):
@@ -202,8 +208,8 @@ def itself(u: Array) -> Array:
     return u
 
 
-def _without_label(embed, u, label):
-    return embed(u)
+def _without_label(function, u, label):
+    return function(u)
 
 
 def bounding_box(

@@ -35,4 +35,6 @@ MANIFOLDS = {
     "grassmann": manifolds.Grassmann(4, 2),
     "shapes": manifolds.PlanarShapes(4),
     "spd": manifolds.SymmetricPositiveDefinite(3),
+    "hyperbolic": manifolds.Hyperbolic(2, 1.5),
+    "affine_spd": manifolds.AffineInvariantSPD(2),
 }

@@ -79,7 +79,7 @@ def _halved(cells: Cells, axis: Int[np.ndarray, " n"]) -> Cells:
 def on_cells(atlas: Atlas, cells: Cells, rule=MIDPOINT, order: int = 2) -> Sample:
     """The product of a rule `(nodes, weights)` on [-1, 1], mean 1, in every cell."""
     coordinates = _coordinates(atlas, cells, rule)
-    points, frames, forms, volume, higher = in_charts(atlas.embed, order, *coordinates)
+    points, frames, forms, volume, higher = in_charts(atlas, order, *coordinates)
     m = cells.lower.shape[1]
     weights = np.prod(np.stack(np.meshgrid(*[rule[1]] * m, indexing="ij")), axis=0)
     boxes = np.prod(cells.upper - cells.lower, axis=1)[:, None]

@@ -29,14 +29,23 @@ def geodesics_of_manifold(
 
 
 def geodesics_of_chart(
-    embed: Callable[..., Array],
+    chart: Any,
     order: int,
     inverse: Float[np.ndarray, "Q m m"],
     *u: Float[np.ndarray, "Q _"],
 ) -> Float[np.ndarray, "Q R s"]:
-    """The same in coordinates, the first of `u`: $u'' = -\\Gamma_u(u', u')$. `inverse`:
-    columns are the frame in coordinates."""
-    return at_each(_in_chart, (embed, order), inverse, *u)
+    """The same in the coordinates of a `Chart` or `Atlas`, the first of `u`:
+    $u'' = -\\Gamma_u(u', u')$. `inverse`: columns are the frame in coordinates."""
+    return at_each(_in_chart, (chart.embed, chart.metric, order), inverse, *u)
+
+
+def christoffel(metric: Callable[..., Array], *u) -> Float[Array, "m m m"]:
+    r"""$\Gamma^c_{ab} = \frac12 g^{cd} (\partial_a g_{db} + \partial_b g_{da} -
+    \partial_d g_{ab})$ of a metric of coordinates, the first of `u`."""
+    slope = jax.jacfwd(metric)(*u)
+    along = jnp.einsum("dba->dab", slope) + slope - jnp.einsum("abd->dab", slope)
+    m = len(slope)
+    return 0.5 * jnp.linalg.solve(metric(*u), along.reshape(m, -1)).reshape(m, m, m)
 
 
 def _on_manifold(owner, x, frame):
@@ -51,13 +60,15 @@ def _on_manifold(owner, x, frame):
 
 
 def _in_chart(owner, inverse, u, *label):
-    embed, order = owner
+    embed, metric, order = owner
     embedded = lambda u: embed(u, *label)
 
     def velocity(u, du):
         return jax.jvp(embedded, (u,), (du,))[1]
 
     def acceleration(u, du):
+        if metric is not None:
+            return -jnp.einsum("cab,a,b->c", christoffel(metric, u, *label), du, du)
         along = lambda u: velocity(u, du)
         bend = jax.jvp(along, (u,), (du,))[1]
         tangent = jax.jacfwd(embedded)(u)

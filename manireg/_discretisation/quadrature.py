@@ -11,10 +11,10 @@ from scipy.spatial import KDTree
 from scipy.stats import qmc
 
 from .._programs.sizes import at_each
-from .._source import Chart, itself
+from .._source import Atlas, Chart, itself
 from ..manifolds._defaults.frames import tangent_frames
 from ..manifolds._membership import projected
-from .geodesics import geodesics_of_chart
+from .geodesics import christoffel, geodesics_of_chart
 from .spacing import (
     data_spacings,
     equally_near,
@@ -77,7 +77,7 @@ def grid(chart: Chart, axes, order: int = 2) -> Sample:
     u = coordinates.reshape(len(weights), -1)
     if chart.embed is itself:
         return *_flat(u), weights, None
-    points, frames, forms, volume, higher = in_charts(chart.embed, order, u)
+    points, frames, forms, volume, higher = in_charts(chart, order, u)
     return points, frames, forms, volume * weights, higher
 
 
@@ -92,12 +92,16 @@ def to_second_order(embed, *u):
     return embed(*u), jacobian(*u), jax.jacfwd(jacobian)(*u)
 
 
-def in_charts(embed, order: int, *u: Float[np.ndarray, "Q _"]) -> Sample:
+def in_charts(chart: Chart | Atlas, order: int, *u: Float[np.ndarray, "Q _"]) -> Sample:
     """At coordinates, the first of `u`: points, frames E = D A, with D the derivative of
-    a chart, second forms, the normal part of D^2[A_a, A_b], volumes, |det A|^-1, and
-    geodesics to that order."""
-    points, jacobian, hessian = at_each(to_second_order, embed, *u)
-    frames, triangle = np.linalg.qr(jacobian)
+    a chart, second forms, the part of D^2[A_a, A_b] that geodesics have, volumes,
+    |det A|^-1, and geodesics to that order."""
+    points, jacobian, hessian = at_each(to_second_order, chart.embed, *u)
+    if chart.metric is None:
+        frames, triangle = np.linalg.qr(jacobian)
+    else:
+        metric = at_each(_metric, chart.metric, *u)
+        triangle = np.swapaxes(np.linalg.cholesky(metric), 1, 2)
     volume = np.abs(np.prod(np.diagonal(triangle, axis1=1, axis2=2), axis=1))
     if not np.all(volume > 1e-12 * np.max(volume)):
         raise ValueError(
@@ -106,12 +110,22 @@ def in_charts(embed, order: int, *u: Float[np.ndarray, "Q _"]) -> Sample:
         )
     inverse = np.linalg.inv(triangle)
     bend = np.einsum("qsij,qia,qjb->qabs", hessian, inverse, inverse)
-    along = np.einsum("qabs,qsc->qabc", bend, frames)
+    if chart.metric is None:
+        along = np.einsum("qabs,qsc->qabc", bend, frames)
+    else:
+        frames = jacobian @ inverse
+        along = at_each(christoffel, chart.metric, *u)
+        along = np.einsum("qcde,qda,qeb->qabc", along, inverse, inverse)
+        along = np.einsum("qabd,qcd->qabc", along, triangle)
     forms = bend - np.einsum("qabc,qsc->qabs", along, frames)
     higher = None
-    if order > 2 and np.any(hessian):
-        higher = geodesics_of_chart(embed, order, inverse, *u)
+    if order > 2 and (np.any(hessian) or chart.metric is not None):
+        higher = geodesics_of_chart(chart, order, inverse, *u)
     return points, frames, forms, volume, higher
+
+
+def _metric(metric, *u):
+    return metric(*u)
 
 
 def quasi_uniform(source, n: int, with_weights: bool) -> FlatSample:
@@ -165,7 +179,14 @@ def _shared_out(points, areas, owners) -> np.ndarray:
 def voronoi_volumes(source, points, frames) -> np.ndarray:
     """Volume of each point's Voronoi cell on M. Quasi-random vectors u of a tangent ball
     are sent to M by u -> pi(p + E u); those that stay nearest to p count, each with the
-    volume distortion of that map."""
+    volume distortion of that map.
+
+    **Raises** ValueError where that is not known."""
+    if not source.isometric:
+        raise ValueError(
+            f"source: {type(source).__name__} has a metric of its own; its volumes are "
+            "known by a chart: let its method `chart` return a `mr.Chart` with `metric`."
+        )
     m = source.dim
     tree = KDTree(points)
     neighbours = min(len(points), 2 * m + 2)

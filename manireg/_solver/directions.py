@@ -53,6 +53,12 @@ def frame_at(
     m = source.dim
     if isinstance(source, AbstractManifold):
         frame = _image(_projector(source, p), m)
+        if not source.isometric:
+            at = p.reshape(source.point_shape)
+            image = lambda e: source.orthonormal(at, e.reshape(at.shape)).ravel()
+            columns = jax.vmap(image, 1, 1)(frame)
+            root = jnp.linalg.cholesky(columns.T @ columns)
+            frame = jax.scipy.linalg.solve_triangular(root, frame.T, lower=True).T
         if s == 2:
             across = p[0] * frame[1, 0] - p[1] * frame[0, 0]
             frame *= jnp.where(across < 0, -1.0, 1.0)

@@ -133,6 +133,11 @@ def _check_options(problem: Problem, method, starts, warm, max_steps: int):
         )
     check_x64(problem)
     check_scale(problem.misfit)
+    if method == "penalty" and not problem.target.isometric:
+        raise ValueError(
+            f"method: 'penalty' measures in the ambient space, whose metric "
+            f"{type(problem.target).__name__} does not have; leave it out."
+        )
     if method == "penalty" and problem.energy.order != 2:
         raise ValueError(
             "method: 'penalty' is the paper's, for order 2; leave it out for order "

@@ -116,6 +116,13 @@ class Ambient(AbstractSource):
 
     manifold: AbstractManifold
 
+    def __check_init__(self):
+        if not self.manifold.isometric:
+            raise ValueError(
+                f"Ambient: {type(self.manifold).__name__} has a metric of its own, its "
+                "neighbourhood none. Take the manifold itself as the source."
+            )
+
     @property
     def dim(self) -> int:
         return math.prod(self.manifold.point_shape)

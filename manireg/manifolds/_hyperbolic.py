@@ -4,11 +4,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float, PRNGKeyArray, ScalarLike
 
 from .._algebra.smooth import angle_over_sinh, cosh_sinhc, squared_hyperbolic_angle
+from .._source import Chart, bounding_box
 from ._arrays import Numbers, as_array
 from ._base import AbstractManifold
+from ._defaults.frames import metric_of_chart
 from ._membership import is_concrete
 
 
@@ -70,10 +73,11 @@ class Hyperbolic(AbstractManifold):
         """
         u = as_array("Hyperbolic: points of the ball", u)
         square = jnp.sum(u**2, axis=-1, keepdims=True)
-        if is_concrete(u) and not np.all(np.asarray(square) < 1):
+        outside = ~(square < 1)
+        if is_concrete(u) and np.any(np.asarray(outside)):
             raise ValueError(
-                f"Hyperbolic: {np.sum(~(np.asarray(square) < 1))} points do not lie inside "
-                "the unit ball."
+                f"Hyperbolic: {np.sum(outside)} of {outside.size} points do not lie "
+                "inside the unit ball, |u| < 1."
             )
         p = jnp.concatenate([1 + square, 2 * u], axis=-1)
         return self.radius * p / (1 - square)
@@ -147,6 +151,15 @@ class Hyperbolic(AbstractManifold):
         v = jnp.concatenate([jnp.zeros((n, 1)), v], axis=1)
         return self.exp(self.origin, v)
 
+    def chart(self, around: np.ndarray | None) -> Chart:
+        """Normal coordinates at the origin, cut to the data."""
+        if around is not None:
+            around = np.asarray(self.log(self.origin, around))[:, 1:]
+        low, high = bounding_box(self, around)
+        embed = Partial(_from_normal, self)
+        metric = metric_of_chart(self, embed)
+        return Chart(low, high, (False,) * self.dim, embed, metric)
+
     def mistake(self, points: np.ndarray) -> tuple[Bool[np.ndarray, " k"], str, str]:
         """Points of the lower sheet."""
         lower = points[:, 0] < 0
@@ -154,6 +167,10 @@ class Hyperbolic(AbstractManifold):
 
     def _chord(self, p, q):
         return _lorentz(p - q, p - q) / self.radius**2
+
+
+def _from_normal(space: Hyperbolic, u: Float[Array, " n"]) -> Float[Array, " t"]:
+    return space.exp(space.origin, jnp.concatenate([jnp.zeros(1), u]))
 
 
 def _lorentz(u: Float[Array, "..."], v: Float[Array, "..."]) -> Float[Array, "... 1"]:

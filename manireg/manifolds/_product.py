@@ -127,7 +127,7 @@ class Product(AbstractManifold):
     def atlas(self, around: np.ndarray | None) -> Atlas | None:
         """All tuples of charts of the factors, if each factor has charts."""
         atlases = [factor.atlas(x) for factor, x in self.product(around)]
-        known = [atlas for atlas in atlases if atlas is not None]
+        known = [atlas for atlas in atlases if atlas is not None and not atlas.metric]
         return _product_atlas(known) if len(known) == len(atlases) else None
 
     def parts(self, *arrays: Any) -> "list[tuple]":

@@ -1,10 +1,12 @@
 """Orthonormal frames of tangent and normal spaces."""
 
 import math
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from ..._algebra.small import eigh
@@ -50,6 +52,19 @@ def coordinates(
     """Of a vector tangent at p on N in an orthonormal frame there."""
     orthonormal = lambda v: manifold.orthonormal(p, v.reshape(p.shape)).ravel()
     return jax.vmap(orthonormal, 1, 1)(frame).T @ orthonormal(v)
+
+
+def metric_of_chart(
+    manifold: AbstractManifold, embed: Callable[[Array], Array]
+) -> Callable[[Array], Array]:
+    """The metric of a manifold in the coordinates of a chart."""
+    return Partial(_metric_in_chart, manifold, embed)
+
+
+def _metric_in_chart(manifold, embed, u):
+    p, columns = embed(u).reshape(manifold.point_shape), jax.jacfwd(embed)(u)
+    vectors = _orthonormal(manifold, p, columns)
+    return vectors.T @ vectors
 
 
 def orthonormal_axes(

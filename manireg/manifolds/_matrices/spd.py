@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from ..._source import Chart, bounding_box
 from .._arrays import Numbers, as_array, first_index
 from .._base import AbstractManifold
-from .._defaults.frames import tangent_frames
+from .._defaults.frames import metric_of_chart, tangent_frames
 from .._membership import is_concrete
 from .matrix_exponentials import symmetric_log
 from .matrix_functions import symmetric_part
@@ -87,11 +87,12 @@ class AbstractPositiveDefinite(AbstractManifold):
         return self.project(jax.random.normal(key, (n, self.n, self.n)))
 
     def chart(self, around: np.ndarray | None) -> Chart:
-        """Flat: orthonormal coordinates of the linear span, cut to the data."""
+        """Orthonormal coordinates of the linear span of logarithms, cut to the data."""
         basis = tangent_frames(self, np.zeros((1, self.n**2)))[0]
         low, high = bounding_box(self, None if around is None else around @ basis)
         span = Partial(jnp.matmul, basis)
-        return Chart(low, high, (False,) * self.dim, span)
+        metric = None if self.isometric else metric_of_chart(self, span)
+        return Chart(low, high, (False,) * self.dim, span, metric)
 
     def doubt(self, points: np.ndarray) -> str | None:
         """Matrices in place of their logarithms."""
