@@ -6,7 +6,8 @@ sphere to sphere, simulated; lambda by restricted likelihood, noise found with t
 Shares of 95 % regions that hold the true map or velocity, averaged over x and over
 repetitions, and of bands that hold it everywhere. A small circle (the second rotation of a
 polar wander path, 54 degrees long), a spiral (the curve of the first experiment, slowed to
-a quarter), a curve of rotations and a bent map of the sphere. Writes a table to `--out`;
+a quarter), a curve of rotations, a bent map of the sphere, an arc in the hyperbolic plane
+and ellipses that turn. Writes a table to `--out`;
 about two hours on two cores, less with `--repetitions`, `--cases`, `--ks`, `--kappas`.
 """
 
@@ -23,8 +24,10 @@ from scipy.stats import chi2
 from tqdm import tqdm
 
 import manireg as mr
+from manireg.manifolds._defaults.frames import orthonormal_axes, tangent_frames
 
 SPHERE, ROTATIONS = mr.Sphere(2), mr.SpecialOrthogonal(3)
+PLANE, TENSORS = mr.Hyperbolic(2), mr.AffineInvariantSPD(2)
 SPIRAL = mr.datasets.LineOnSphere(jnp.zeros(1), jnp.zeros((1, 3)), "polar")
 
 
@@ -51,6 +54,19 @@ def bent(p: np.ndarray) -> np.ndarray:
     return np.asarray(SPHERE.project(p @ linear.T + 0.3 * more))
 
 
+def disc(t: np.ndarray) -> np.ndarray:
+    """An arc of a circle about the middle of Poincare's disc, in hyperbolic space."""
+    angle = 3 * t[:, None]
+    return np.asarray(PLANE.from_ball(0.6 * np.hstack([np.cos(angle), np.sin(angle)])))
+
+
+def tensors(t: np.ndarray) -> np.ndarray:
+    """Ellipses that turn and stretch."""
+    turn = Rotation.from_rotvec(2 * t[:, None] * np.array([0, 0, 1])).as_matrix()
+    axes = np.stack([1 + t, -np.cos(3 * t)], axis=-1)
+    return np.einsum("kab,kb,kcb->kac", turn[:, :2, :2], axes, turn[:, :2, :2])
+
+
 class Case(NamedTuple):
     name: str
     source: mr.AbstractSource
@@ -63,6 +79,8 @@ CASES = [
     Case("spiral", mr.Interval(0, 1), SPHERE, spiral),
     Case("rotations", mr.Interval(0, 1), ROTATIONS, rotations),
     Case("sphere to sphere", SPHERE, SPHERE, bent),
+    Case("hyperbolic plane", mr.Interval(0, 1), PLANE, disc),
+    Case("tensors, affine-invariant", mr.Interval(0, 1), TENSORS, tensors),
 ]
 
 
@@ -74,6 +92,10 @@ def inputs(case: Case, rng: np.random.Generator, k: int) -> np.ndarray:
 
 def noisy(case: Case, points: np.ndarray, rng, sigma: float) -> np.ndarray:
     """Normal in the tangent space, `sigma` in each direction."""
+    if not case.target.isometric:
+        frames = tangent_frames(case.target, points)
+        v = np.einsum("ktn,kn->kt", frames, sigma * rng.normal(size=frames.shape[::2]))
+        return np.asarray(case.target.exp(points, v.reshape(points.shape)))
     v = case.target.tangent_projection(points, sigma * rng.normal(size=points.shape))
     return np.asarray(case.target.project(case.target.exp(points, v)))
 
@@ -111,8 +133,11 @@ def held_velocity(case: Case, post: mr.Posterior, t: np.ndarray) -> float:
     """Share of the places at which the true velocity lies in its region."""
     found, step = post.velocity(t), 1e-4 * np.ptp(t)
     true = (case.truth(t + step) - case.truth(t - step)) / (2 * step)
-    gap = (true - found.value).reshape(len(t), -1)
-    z = np.einsum("qtn,qt->qn", found.frame, gap)
+    at = np.asarray(post.model(t))
+    coordinates = case.target.orthonormal
+    gap = coordinates(case.truth(t), true) - coordinates(at, found.value)
+    axes = orthonormal_axes(case.target, at, found.frame)
+    z = np.einsum("qtn,qt->qn", axes, np.asarray(gap).reshape(len(t), -1))
     squares = np.sum(
         z * np.linalg.solve(found.covariance, z[..., None])[..., 0], axis=1
     )

@@ -141,8 +141,8 @@ def make_problem(
     if not (energy.on_target or target.isometric):
         raise ValueError(
             f"energy: {type(energy).__name__} measures in the ambient space of the "
-            f"target, whose metric {type(target).__name__} does not have. Take the source itself "
-            "in place of `Ambient`, and leave out `energy` and `tension`."
+            f"target, whose metric {type(target).__name__} does not have. Take the "
+            "source itself in place of `Ambient`, and leave out `energy` and `tension`."
         )
     _check_terms(energy, terms)
     default = energy.resolution(m)

@@ -3,13 +3,13 @@
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
 from .._discretisation.local_polynomials import LocalPolynomials
+from .._files import AbstractSaved
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._objective.objective import Energies
@@ -31,7 +31,7 @@ from .smoothing import Smoothing
 from .summary import Summary, data_weights_of, summary_of
 
 
-class RegressionMap(eqx.Module):
+class RegressionMap(AbstractSaved):
     """A fitted map from `source` to `target`: call it on new points."""
 
     source: AbstractSource

@@ -4,11 +4,11 @@
 import dataclasses
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
+from .._files import AbstractSaved
 from .._input.numbers import Numbers
 from .._objective.problem import number_of_data
 from .._programs.sizes import at_each
@@ -38,7 +38,7 @@ from .summary import Summary, summary_of
 DRAWS = 1000  # maps that a band is made of
 
 
-class Posterior(eqx.Module):
+class Posterior(AbstractSaved):
     r"""Of a fitted map, given lambda $w \sim N(\hat w, (2 \hat\sigma^2 / k) H^{-1})$: the
     likelihood is $\exp(-d^2 / 2 \sigma^2)$, the prior $\exp(-k \lambda S / 2 \sigma^2)$,
     and H the Gauss-Newton Hessian of the objective. Averaged over x, regions around the

@@ -5,6 +5,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 
+from .._files import AbstractSaved
 from .._selection.choice import CrossValidation
 from .._solver.model import RegressionMap
 from ..manifolds._scans.surface import Surface
@@ -13,7 +14,7 @@ from .certify import certificate_of
 from .held_out import HeldOut
 
 
-class Registration(eqx.Module):
+class Registration(AbstractSaved):
     """Where every vertex of the source belongs on the target."""
 
     vertices: Float[np.ndarray, "n 3"]

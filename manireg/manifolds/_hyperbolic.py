@@ -154,7 +154,7 @@ class Hyperbolic(AbstractManifold):
     def chart(self, around: np.ndarray | None) -> Chart:
         """Normal coordinates at the origin, cut to the data."""
         if around is not None:
-            around = np.asarray(self.log(self.origin, around))[:, 1:]
+            around = np.asarray(self.log(self.origin, jax.device_put(around)))[:, 1:]
         low, high = bounding_box(self, around)
         embed = Partial(_from_normal, self)
         metric = metric_of_chart(self, embed)

@@ -12,7 +12,7 @@ from scipy import stats
 
 import manireg as mr
 from manireg._sources.noise import check_noise
-from manireg.manifolds._defaults.frames import tangent_frames
+from manireg.manifolds._defaults.frames import orthonormal_axes, tangent_frames
 
 K = 5
 SPHERE, ROTATIONS, PLANE = mr.Sphere(2), mr.SpecialOrthogonal(3), mr.Euclidean(2)
@@ -63,6 +63,7 @@ def test_precision(name):
     ambient = definite(K, y.shape[1], rng)
     coordinates = rng.normal(size=(K, n))
     v = np.einsum("ktn,kn->kt", frames, coordinates)
+    residual = orthonormal_axes(target, y, v[:, :, None])[:, :, 0]
     given = [
         (ambient, None, np.einsum("kt,ktu,ku->k", v, ambient, v)),
         (ambient.reshape(K, *shape, *shape), None, None),
@@ -74,7 +75,7 @@ def test_precision(name):
         noise = check_noise(target, y, precision=precision, frames=of_frames)
         assert noise is not None and noise.axes is not None
         expected = expected if form is None else form
-        np.testing.assert_allclose(forms(noise, v), expected, rtol=1e-10)
+        np.testing.assert_allclose(forms(noise, residual), expected, rtol=1e-10)
         axes = np.asarray(noise.axes)
         products = np.swapaxes(axes, 1, 2) @ axes
         np.testing.assert_allclose(products, np.tile(np.eye(n), (K, 1, 1)), atol=1e-12)
