@@ -173,7 +173,7 @@ def test_left_out_data_are_those_of_refits(key):
     left_out = model.summary().each.left_out
     for i in (3, 11):
         rest = np.arange(len(x)) != i
-        without = mr.make_problem(INTERVAL, PLANE, x, y, rest * 1.0)
+        without = mr.make_problem(INTERVAL, PLANE, x, y, weights=rest * 1.0)
         gap = PLANE.squared_distance(mr.solve(without, 1e-4 * 25 / 24)(x[i]), y[i])
         np.testing.assert_allclose(left_out[i], gap**0.5, rtol=0.05)
 

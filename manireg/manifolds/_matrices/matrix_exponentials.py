@@ -52,7 +52,13 @@ def symmetric_exp(s: Float[Array, "..."]) -> Float[Array, "..."]:
     by 64 or less: the trace is taken off first."""
     one = identity_like(s)
     mean = jnp.trace(s, axis1=-2, axis2=-1)[..., None, None] / s.shape[-1]
-    return jnp.exp(mean) * symmetric_part(_exp(s - mean * one))
+    rest = s - mean * one
+    if s.shape[-1] == 1:
+        return jnp.exp(s)
+    if s.shape[-1] == 2:  # a multiple of the identity when squared
+        cosine, sine = cosh_sinhc(norm_squared(rest, 2)[..., None, None] / 2)
+        return jnp.exp(mean) * (cosine * one + sine * rest)
+    return jnp.exp(mean) * symmetric_part(_exp(rest))
 
 
 def _exp(w: Float[Array, "..."]) -> Float[Array, "..."]:
