@@ -27,7 +27,7 @@ def on_files(files, config):
     for pattern in SHOWN:
         for path in sorted(ROOT.glob(pattern)):
             name = path.relative_to(ROOT).as_posix()
-            files.append(File.generated(config, name, abs_src_path=str(path)))
+            files.append(File(name, str(ROOT), config.site_dir, False))
     return files
 
 
