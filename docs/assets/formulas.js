@@ -6,6 +6,7 @@ window.MathJax = {
     displayMath: [["\\[", "\\]"], ["$$", "$$"]],
     processEscapes: true,
   },
+  svg: { scale: 0.92 },
   options: {
     ignoreHtmlClass: ".*",
     processHtmlClass: "arithmatex|jp-RenderedMarkdown",

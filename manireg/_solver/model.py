@@ -78,8 +78,12 @@ class RegressionMap(eqx.Module):
 
         **Example:** how fast a pole wanders, in degrees a million years.
 
-            model = mr.fit(mr.Interval(0, 500), mr.Sphere(2), ages, poles)
-            np.degrees(mr.sphere_motion(model(100.0), model.velocity(100.0)).speed)
+        ```python
+        data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+        interval, sphere = mr.Interval(0, 320), mr.Sphere(2)
+        model = mr.fit(interval, sphere, data.ages, data.directions, 1e3)
+        np.degrees(mr.sphere_motion(model(100.0), model.velocity(100.0)).speed)
+        ```
         """
         check_curve(self.source, "velocity")
         return self._at(x, velocity_at, curved(self.source))
@@ -108,7 +112,12 @@ class RegressionMap(eqx.Module):
 
         **Example:** by how much a map between surfaces stretches.
 
-            stretch = jnp.linalg.svd(model.differential(x).derivatives, compute_uv=False)
+        ```python
+        x = mr.Sphere(2).random_points(jax.random.key(0), 40)
+        y = mr.Ellipsoid([1.0, 1.2, 0.8]).project(x)
+        model = mr.fit(mr.Sphere(2), mr.Ellipsoid([1.0, 1.2, 0.8]), x, y, 1e-3)
+        stretch = jnp.linalg.svd(model.differential(x).derivatives, compute_uv=False)
+        ```
         """
         return self._at(x, differential_at, curved(self.source))
 
