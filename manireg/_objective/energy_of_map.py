@@ -98,7 +98,7 @@ def thin_plate_energy(
 
     ```python
     circle = lambda t: jnp.array([jnp.cos(t**2), jnp.sin(t**2), 0.0])
-    mr.thin_plate_energy(mr.Interval(0, 1), mr.Sphere(2), circle)  # 7.200
+    mr.thin_plate_energy(mr.Interval(0, 1), circle)  # 7.200
     ```
     """
     domain = _samples(source, samples, 2)

@@ -92,7 +92,7 @@ class Interval(AbstractBounded):
 
     ```python
     mr.Interval(0, 550)  # ages
-    mr.Interval("2024-05-01", "2024-05-31")  # dates: seconds since 1970
+    mr.Interval(np.datetime64("2024-05-01"), np.datetime64("2024-05-31"))  # seconds
     ```
     """
 

@@ -25,7 +25,7 @@ class SpecialOrthogonal(AbstractManifold):
     **Example:** a turn by 0.5 radians is $\sqrt 2 / 2$ from the identity.
 
     ```python
-    turn = Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix()
+    turn = jnp.array(Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix())
     so3 = mr.SpecialOrthogonal(3)
     jnp.sqrt(so3.squared_distance(jnp.eye(3), turn))  # 0.7071
     ```
