@@ -61,10 +61,17 @@ def tables(markdown):
 
 def on_page_content(html, page, config, files):
     """Notebooks bring scripts from other hosts for formulas and diagrams; the formulas are
-    set by the site's own, and there are no diagrams."""
-    if page.file.src_uri.endswith(".ipynb"):
-        html = re.sub(r"<script[^>]*>.*?</script>", without_hosts, html, flags=re.DOTALL)
-    return html
+    set by the site's own, and there are no diagrams. And their links are not followed."""
+    here = page.file.src_uri
+    if not here.endswith(".ipynb"):
+        return html
+
+    def link(match):
+        target = files.get_file_from_path(normpath(join(dirname(here), match[1])))
+        return f'href="{target.url_relative_to(page.file)}"' if target else match[0]
+
+    html = re.sub(r"<script[^>]*>.*?</script>", without_hosts, html, flags=re.DOTALL)
+    return re.sub(r'href="([^":#]+)"', link, html)
 
 
 def without_hosts(script):

@@ -8,7 +8,7 @@ window.MathJax = {
   },
   svg: { scale: 0.92 },
   options: {
-    ignoreHtmlClass: ".*",
+    ignoreHtmlClass: "md-header|md-container",
     processHtmlClass: "arithmatex|jp-RenderedMarkdown",
     enableMenu: false, // its accessibility add-ons are not part of this site
   },
