@@ -38,7 +38,8 @@ def on_page_markdown(markdown, page, config, files):
 
     def table(match):
         number, file = int(match[1]), ROOT / dirname(source) / match[2]
-        return tables(file.read_text())[number - 1]
+        shown = tables(file.read_text())[number - 1]
+        return f'<div class="numbers" markdown>\n\n{shown}\n</div>'
 
     def link(match):
         path = normpath(join(dirname(source), match[2]))  # in the repository

@@ -15,7 +15,13 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
-LOADS = {"script": "src", "img": "src", "link": "href", "iframe": "src", "source": "src"}
+LOADS = {
+    "script": "src",
+    "img": "src",
+    "link": "href",
+    "iframe": "src",
+    "source": "src",
+}
 
 pytestmark = [
     pytest.mark.slow,
@@ -41,7 +47,9 @@ class Page(HTMLParser):
             self._inside.append(tag)
         if "arithmatex" in given.get("class", "") or self.of_formula:
             self._inside.append(tag)
-        if (loaded := given.get(LOADS.get(tag, ""))) and given.get("rel") != "canonical":
+        if (loaded := given.get(LOADS.get(tag, ""))) and given.get(
+            "rel"
+        ) != "canonical":
             self.loads.append(loaded)
         if tag == "a" and given.get("href"):
             self.links.append(given["href"])
@@ -99,11 +107,15 @@ def test_links_and_pictures(site, pages):
 
 def test_nothing_comes_from_the_network(site, pages):
     for path, page in pages.items():
-        away = [link for link in page.loads if urlsplit(link).scheme in ("http", "https")]
+        away = [
+            link for link in page.loads if urlsplit(link).scheme in ("http", "https")
+        ]
         assert not away, path
         assert not re.search(r"import\(\s*[\"']https?:", path.read_text()), path
     for style in site.rglob("*.css"):
-        assert not re.search(r"(url\(|@import)\s*[\"']?https?:", style.read_text()), style
+        assert not re.search(r"(url\(|@import)\s*[\"']?https?:", style.read_text()), (
+            style
+        )
 
 
 def test_formulas_are_marked(site, pages):
@@ -112,7 +124,9 @@ def test_formulas_are_marked(site, pages):
     for path, page in pages.items():
         if "notebooks" not in path.parts:
             text = "".join(page.text)
-            assert not re.search(r"\$[^$\n]*[\\^_][^$\n]*\$|\\\[|\\\(|\\frac", text), path
+            assert not re.search(r"\$[^$\n]*[\\^_][^$\n]*\$|\\\[|\\\(|\\frac", text), (
+                path
+            )
 
 
 def dom(page, tmp_path):
