@@ -51,7 +51,7 @@ def cache_programs(
     **Raises:** `ValueError` if `size` is negative.
 
         mr.cache_programs()
-        mr.fit(mr.Interval(0, 1), mr.Sphere(2), x, y, 1e-4)  # sooner from the next session on
+        mr.fit(mr.Interval(0, 1), mr.Sphere(2), x, y, 1e-4)  # soon, next time
     """
     if size < 0:
         raise ValueError(

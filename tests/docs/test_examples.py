@@ -7,8 +7,10 @@ reader. `expression  # 4.53, 0.0` says what comes out, to the digits that are gi
 import ast
 import inspect
 import re
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -101,12 +103,8 @@ def last_digit(text):
 )
 def test_example(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    names = dict(mr=mr, jax=jax, jnp=jnp, np=np, trimesh=trimesh)
-    names |= dict(Rotation=Rotation, Path=Path)
-    if name == "AbstractTerm":
-        from collections.abc import Callable
-
-        names["Callable"] = Callable
+    names: dict[str, Any] = dict(mr=mr, jax=jax, jnp=jnp, np=np, trimesh=trimesh)
+    names |= dict(Rotation=Rotation, Path=Path, Callable=Callable)
     for block in EXAMPLES[name]:
         try:
             run(block, names)

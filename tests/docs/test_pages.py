@@ -50,8 +50,8 @@ def test_options_exist(command):
     _, *words = shlex.split(command.replace("\n", " "), comments=True)
     known = {o for p in group.params for o in (*p.opts, *p.secondary_opts)}
     for word in words:
-        if word in getattr(group, "commands", {}):
-            group = group.commands[word]
+        if found := getattr(group, "commands", {}).get(word):
+            group = found
             known = {o for p in group.params for o in p.opts} | {"--help"}
         elif word.startswith("--"):
             assert word in known, f"{word} is no option of {command}"
