@@ -110,13 +110,14 @@ class RegressionMap(eqx.Module):
 
         What does not depend on the frame: `derivatives @ frame^T`, its singular values.
 
-        **Example:** by how much a map between surfaces stretches.
+        **Example:** by how much a map of the sphere stretches.
 
         ```python
         x = mr.Sphere(2).random_points(jax.random.key(0), 40)
-        y = mr.Ellipsoid([1.0, 1.2, 0.8]).project(x)
-        model = mr.fit(mr.Sphere(2), mr.Ellipsoid([1.0, 1.2, 0.8]), x, y, 1e-3)
+        y = x * np.array([1.0, 1.2, 0.8])
+        model = mr.fit(mr.Sphere(2), mr.Euclidean(3), x, y, 1e-9)
         stretch = jnp.linalg.svd(model.differential(x).derivatives, compute_uv=False)
+        stretch.max().round(2) <= 1.2  # True
         ```
         """
         return self._at(x, differential_at, curved(self.source))

@@ -113,7 +113,8 @@ def register(
     ```python
     ball = trimesh.creation.icosphere(subdivisions=2)
     egg = ball.copy().apply_scale([1.0, 1.2, 0.8])
-    found = mr.register(ball, egg, range(0, 162, 15), range(0, 162, 15), 1e-3)
+    marks = np.arange(0, 162, 15)
+    found = mr.register(ball, egg, marks, marks, 1e-3)
     np.abs(found.vertices - egg.vertices).max() < 0.05  # True
     ```
     """
