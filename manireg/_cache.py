@@ -50,10 +50,8 @@ def cache_programs(
 
     **Raises:** `ValueError` if `size` is negative.
 
-    ```python
-    mr.cache_programs()
-    mr.fit(mr.Interval(0, 1), mr.Sphere(2), x, y, 1e-4)  # sooner from the next session on
-    ```
+        mr.cache_programs()
+        mr.fit(mr.Interval(0, 1), mr.Sphere(2), x, y, 1e-4)  # soon, next time
     """
     if size < 0:
         raise ValueError(

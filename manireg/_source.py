@@ -83,19 +83,21 @@ class AbstractSource(eqx.Module):
 
     **Example:** a lampshade, the part of a cone between two heights.
 
-        class Lampshade(mr.AbstractSource):
-            dim = 2
-            point_shape = (3,)
+    ```python
+    class Lampshade(mr.AbstractSource):
+        dim = 2
+        point_shape = (3,)
 
-            def chart(self, around):
-                def embed(u):
-                    angle, z = u
-                    return z * jnp.array([jnp.cos(angle), jnp.sin(angle), 1.0])
+        def chart(self, around):
+            def embed(u):
+                angle, z = u
+                return z * jnp.array([jnp.cos(angle), jnp.sin(angle), 1.0])
 
-                return mr.Chart([0, 1], [2 * jnp.pi, 2], [True, False], embed)
+            return mr.Chart([0, 1], [2 * jnp.pi, 2], [True, False], embed)
 
-            def outside(self, x):
-                return (x[:, 2] < 1 - 1e-9) | (x[:, 2] > 2 + 1e-9)
+        def outside(self, x):
+            return (x[:, 2] < 1 - 1e-9) | (x[:, 2] > 2 + 1e-9)
+    ```
     """
 
     if TYPE_CHECKING:

@@ -70,6 +70,13 @@ def geodesic(
     Source: Steinke and Hein 2008, section 4 ("an exact, but more expensive method");
     round walls first Lanthier, Maheshwari and Sack, *Approximating shortest paths on
     weighted polyhedral surfaces* (Algorithmica 30, 2001).
+
+    **Example:** a quarter of a great circle, whose length is $\pi / 2$.
+
+    ```python
+    north, east = jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 0.0, 0.0])
+    mr.geodesic(mr.Sphere(2), north, east).length  # 1.5708
+    ```
     """
     if isinstance(manifold, Surface | trimesh.Trimesh | str | os.PathLike):
         manifold = load_surface(manifold).cloud

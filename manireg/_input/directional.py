@@ -24,7 +24,9 @@ def from_a95(a95: Numbers) -> Float[np.ndarray, " k"] | float:
     $$\sigma = \frac{\pi}{180}\, \frac{\alpha_{95}}{\sqrt{\chi^2_2(0.95)}},
     \qquad \sqrt{\chi^2_2(0.95)} = \sqrt{2 \ln 20} = 2.448$$
 
-        mr.from_a95([2.4, 6.1])  # 0.0171, 0.0435
+    ```python
+    mr.from_a95([2.4, 6.1])  # 0.0171, 0.0435
+    ```
 
     - `a95`: a number, or those of k directions, `(k,)`: list, series or array.
 
@@ -43,7 +45,9 @@ def from_kappa(kappa: Numbers, n: Numbers = 1) -> Float[np.ndarray, " k"] | floa
 
     $$\sigma = \frac{1}{\sqrt{\kappa N}}$$
 
-        mr.from_kappa([120.0, 35.0], [8, 12])  # 0.0323, 0.0488
+    ```python
+    mr.from_kappa([120.0, 35.0], [8, 12])  # 0.0323, 0.0488
+    ```
 
     - `kappa`: Fisher's concentration (K of tables, of dispersion), no unit; a number or
       those of k means, `(k,)`.
@@ -64,7 +68,9 @@ def a95_of(kappa: Numbers, n: Numbers) -> Float[np.ndarray, " k"] | float:
 
     so that `from_a95(a95_of(kappa, n))` is `from_kappa(kappa, n)` (140 is 140.24).
 
-        mr.a95_of(120, 8)  # 4.53
+    ```python
+    mr.a95_of(120, 8)  # 4.53
+    ```
 
     - `kappa`: Fisher's concentration, no unit; a number or those of k means, `(k,)`.
     - `n`: how many directions each mean is of: one for all, or `(k,)`.

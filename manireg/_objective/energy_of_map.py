@@ -45,8 +45,10 @@ def energy(
 
     **Example:** a great circle with the angle $t^3$ has $S_3 = \int 6^2 = 36$.
 
-        circle = lambda t: jnp.array([jnp.cos(t**3), jnp.sin(t**3), 0.0])
-        mr.energy(mr.Interval(0, 1), mr.Sphere(2), circle, order=3)
+    ```python
+    circle = lambda t: jnp.array([jnp.cos(t**3), jnp.sin(t**3), 0.0])
+    mr.energy(mr.Interval(0, 1), mr.Sphere(2), circle, order=3)  # 36.00
+    ```
     """
     check_known(order, source, target)
 
@@ -69,7 +71,15 @@ def eells_energy(
 ) -> Float[Array, ""]:
     r"""$S(\phi) = \int_M |P_{\phi(x)} (D^2\phi[E_a, E_b] + D\phi\, II(E_a, E_b))|^2$, the
     squared norm of the second covariant derivative (paper, (2) and (5)): `energy` of
-    order 2, with its arguments."""
+    order 2, with its arguments.
+
+    **Example:** an angle of $t^2$ has $S = \int 2^2 = 4$.
+
+    ```python
+    circle = lambda t: jnp.array([jnp.cos(t**2), jnp.sin(t**2), 0.0])
+    mr.eells_energy(mr.Interval(0, 1), mr.Sphere(2), circle)  # 4.000
+    ```
+    """
     return energy(source, target, map, samples)
 
 
@@ -78,7 +88,16 @@ def thin_plate_energy(
 ) -> Float[Array, ""]:
     r"""$\int_M |D^2\phi[E_a, E_b] + D\phi\, II(E_a, E_b)|^2$, without the projection to
     the target (paper, (3)): `eells_energy` plus the bending of the target in its ambient
-    space. Arguments as for `energy`."""
+    space. Arguments as for `energy`.
+
+    **Example:** of the same circle $S = \int (2^2 + (2t)^4) = 4 + 16/5$: space sees
+    that circles bend.
+
+    ```python
+    circle = lambda t: jnp.array([jnp.cos(t**2), jnp.sin(t**2), 0.0])
+    mr.thin_plate_energy(mr.Interval(0, 1), circle)  # 7.200
+    ```
+    """
     domain = _samples(source, samples, 2)
     m = domain.dim
 

@@ -126,6 +126,15 @@ def make_problem(
     that is not as above (zero or negative, not symmetric, frames off the tangent space),
     an `order` that the source or the target does not allow, tension that is negative, on a
     source that is not `Ambient` or of another order than 2.
+
+    **Example:** the host does its part once, `solve` the rest for any lambda.
+
+    ```python
+    data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+    interval, sphere = mr.Interval(0, 320), mr.Sphere(2)
+    problem = mr.make_problem(interval, sphere, data.ages, data.directions)
+    mr.solve(problem, 1e3).energies.loss
+    ```
     """
     check_x64(source)
     check_x64(target)

@@ -60,8 +60,10 @@ class Huber(AbstractLoss):
     r"""$\rho(s) = s$ for $\sqrt{s} \le c$, beyond $2 c \sqrt{s} - c^2$: outliers pull with
     a constant force. Convex as a function of the residual.
 
-        Huber()     # 95 % efficient
-        Huber(2.0)  # closer to squares
+    ```python
+    mr.Huber()     # 95 % efficient
+    mr.Huber(2.0)  # closer to squares
+    ```
 
     - `c`: radius in standard deviations. By default the one at which noise that is
       Gaussian after all costs 5 % of efficiency: 1.345 of targets of dimension n = 1,
@@ -92,8 +94,10 @@ class Tukey(AbstractLoss):
     $c^2 / 3$: data farther off than c have no weight at all. Not convex: start it from a
     fit with `Huber()`.
 
-        Tukey()     # 95 % efficient
-        Tukey(6.0)
+    ```python
+    mr.Tukey()     # 95 % efficient
+    mr.Tukey(6.0)
+    ```
 
     - `c`: radius in standard deviations. By default the one at which noise that is
       Gaussian after all costs 5 % of efficiency: 4.685 of targets of dimension n = 1,
@@ -125,8 +129,10 @@ class StudentT(AbstractLoss):
     $(\nu + n) / \nu$ times what is taken here, which is s for small s, as the other
     losses are. The factor moves into lambda; fits are the same.
 
-        StudentT()
-        StudentT(2.0)  # more outliers
+    ```python
+    mr.StudentT()
+    mr.StudentT(2.0)  # more outliers
+    ```
 
     - `nu`: degrees of freedom. Large ones: Gaussian noise; 1: Cauchy's.
 

@@ -44,20 +44,26 @@ class AbstractTerm(eqx.Module):
     weighted mean over the data. Only `name`, `place`, `orders` and `residual` have to be
     given. Pull a map towards another one, `f`:
 
-        class Attraction(mr.AbstractTerm):
-            f: Callable
-            name = "attraction"
-            place = "quadrature"
-            orders = (0,)
+    ```python
+    class Attraction(mr.AbstractTerm):
+        f: Callable
+        name = "attraction"
+        place = "quadrature"
+        orders = (0,)
 
-            def arguments(self, x, y):
-                return jax.vmap(self.f)(x)
+        def arguments(self, x, y):
+            return jax.vmap(self.f)(x)
 
-            def residual(self, near, jet, f):
-                p = jet.value.reshape(near.point_shape)  # jets are flattened
-                return near.project(p) - f
+        def residual(self, near, jet, f):
+            p = jet.value.reshape(near.point_shape)  # jets are flattened
+            return near.project(p) - f
 
-        mr.make_problem(..., terms=(Attraction(f),))
+    x = np.linspace(0, 1, 9)
+    term = Attraction(lambda x: jnp.zeros(1))
+    problem = mr.make_problem(
+        mr.Interval(0, 1), mr.Euclidean(1), x, x[:, None], terms=(term,)
+    )
+    ```
     """
 
     name: ClassVar[str]

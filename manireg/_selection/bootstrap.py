@@ -30,7 +30,14 @@ def bootstrap(model: RegressionMap, key: PRNGKeyArray, m: int) -> list[Regressio
     **Raises** ValueError for a map without its problem, with latent inputs, or with data
     of which nothing is known along some axis.
 
-    **Example:** `maps = mr.bootstrap(model, jax.random.key(0), 200)`.
+    **Example:** twenty other paths that the poles might have given.
+
+    ```python
+    data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+    interval, sphere = mr.Interval(0, 320), mr.Sphere(2)
+    model = mr.fit(interval, sphere, data.ages, data.directions, 1e3)
+    maps = mr.bootstrap(model, jax.random.key(0), 20)
+    ```
     """
     found = at_minimum(model)
     problem = model.problem

@@ -74,6 +74,17 @@ def cross_validate(
 
     **Raises** ValueError as `make_problem` does, for data beside a `Problem`, and for
     `lams` and `folds` that are not as above.
+
+    **Example:**
+
+    ```python
+    data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+    interval, sphere = mr.Interval(0, 320), mr.Sphere(2)
+    cv = mr.cross_validate(
+        interval, sphere, data.ages, data.directions, folds=5, progress=False
+    )
+    cv.lam, cv.score  # chosen, its error in radians
+    ```
     """
 
     def of(problem: Problem, given: Numbers | None) -> CrossValidation:

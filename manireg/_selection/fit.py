@@ -88,6 +88,14 @@ def fit(
     nothing is determined. **Warns** where the noise does not settle.
 
     Source: F. Steinke, M. Hein, Non-parametric Regression Between Manifolds, NIPS 2008.
+
+    **Example:** a polar wander path; lambda in Myr$^3$, chosen if it is left out.
+
+    ```python
+    data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+    model = mr.fit(mr.Interval(0, 320), mr.Sphere(2), data.ages, data.directions, 1e3)
+    model(65.0)  # a unit vector
+    ```
     """
     data: dict[str, Any] = {
         "weights": weights,

@@ -27,6 +27,15 @@ def lambda_grid(problem: Problem, n: int | None = None) -> Float[Array, " n"]:
 
     A perturbation of wavelength l adds to loss and penalty alike at that lambda, whatever
     the scale of the target. Below the spacing the data say nothing.
+
+    **Example:**
+
+    ```python
+    data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+    interval, sphere = mr.Interval(0, 320), mr.Sphere(2)
+    problem = mr.make_problem(interval, sphere, data.ages, data.directions)
+    len(mr.lambda_grid(problem))  # 20
+    ```
     """
     check_x64(problem)
     low, high = _logarithms_of_ends(on_host(problem))

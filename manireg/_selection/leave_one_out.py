@@ -121,6 +121,16 @@ def leave_one_out(
     **Raises** ValueError as `make_problem` does, for data beside a `Problem`, and for
     `lams` that are not as above. **Warns** as `solve` does, whatever lambda is chosen
     of a grid that reaches below what the basis resolves.
+
+    **Example:**
+
+    ```python
+    data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+    interval, sphere = mr.Interval(0, 320), mr.Sphere(2)
+    cv = mr.leave_one_out(interval, sphere, data.ages, data.directions, progress=False)
+    cv.lam, cv.score, cv.on_edge  # chosen, its error in radians
+    cv.model(65.0)  # fitted to all data
+    ```
     """
 
     judge = criterion_of(criterion)

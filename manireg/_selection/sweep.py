@@ -42,6 +42,16 @@ def sweep(
 
     **Raises** ValueError for float32 mode, and where leading axes differ or there are
     none.
+
+    **Example:** fits of several lambdas, spread over the devices.
+
+    ```python
+    data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+    interval, sphere = mr.Interval(0, 320), mr.Sphere(2)
+    problem = mr.make_problem(interval, sphere, data.ages, data.directions)
+    fit = lambda lam, problem: mr.solve(problem, lam).coefficients
+    mr.sweep(fit, jnp.array([1e2, 1e3]), problem).shape[0]  # 2
+    ```
     """
     check_x64()
     lengths = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(lanes)}

@@ -78,8 +78,12 @@ class RegressionMap(AbstractSaved):
 
         **Example:** how fast a pole wanders, in degrees a million years.
 
-            model = mr.fit(mr.Interval(0, 500), mr.Sphere(2), ages, poles)
-            np.degrees(mr.sphere_motion(model(100.0), model.velocity(100.0)).speed)
+        ```python
+        data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+        interval, sphere = mr.Interval(0, 320), mr.Sphere(2)
+        model = mr.fit(interval, sphere, data.ages, data.directions, 1e3)
+        np.degrees(mr.sphere_motion(model(100.0), model.velocity(100.0)).speed)
+        ```
         """
         check_curve(self.source, "velocity")
         return self._at(x, velocity_at, curved(self.source))
@@ -106,9 +110,15 @@ class RegressionMap(AbstractSaved):
 
         What does not depend on the frame: `derivatives @ frame^T`, its singular values.
 
-        **Example:** by how much a map between surfaces stretches.
+        **Example:** by how much a map of the sphere stretches.
 
-            stretch = jnp.linalg.svd(model.differential(x).derivatives, compute_uv=False)
+        ```python
+        x = mr.Sphere(2).random_points(jax.random.key(0), 40)
+        y = x * np.array([1.0, 1.2, 0.8])
+        model = mr.fit(mr.Sphere(2), mr.Euclidean(3), x, y, 1e-9)
+        stretch = jnp.linalg.svd(model.differential(x).derivatives, compute_uv=False)
+        stretch.max().round(2) <= 1.2  # True
+        ```
         """
         return self._at(x, differential_at, curved(self.source))
 

@@ -51,8 +51,14 @@ class Posterior(AbstractSaved):
 
     **Example:** where a pole was, a hundred million years ago.
 
-        post = model.posterior()
-        post.region(np.array([100.0])).theta95
+    ```python
+    data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+    interval, sphere = mr.Interval(0, 320), mr.Sphere(2)
+    model = mr.fit(interval, sphere, data.ages, data.directions, 1e3)
+    post = model.posterior()
+    post.region(np.array([100.0])).theta95  # degrees
+    post.sphere_motion(np.array([100.0])).speed_deviation  # radians a Myr
+    ```
     """
 
     model: Any

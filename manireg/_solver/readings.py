@@ -30,10 +30,13 @@ def angular_velocity(
 
     **Raises** ValueError for other names of axes and shapes.
 
-    **Example:** how fast an eye turns, in degrees a second.
+    **Example:** two radians a second about the third axis.
 
-        model = mr.fit(mr.Interval(0, 10), mr.SpecialOrthogonal(3), seconds, rotations)
-        np.degrees(mr.angular_velocity(model(t), model.velocity(t), axes="body"))
+    ```python
+    turn = Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix()
+    rate = turn @ np.array([[0, -2.0, 0], [2.0, 0, 0], [0, 0, 0]])  # R [w]_x
+    mr.angular_velocity(turn, rate, axes="body")  # 0.0, 0.0, 2.0
+    ```
     """
     if axes not in ("space", "body"):
         raise ValueError(f'axes: expected "space" or "body", found {axes!r}.')
@@ -75,10 +78,14 @@ def sphere_motion(p: Numbers, v: Numbers) -> SphereMotion:
 
     **Raises** ValueError for other shapes.
 
-    **Example:** apparent polar wander, in degrees a million years.
+    **Example:** along the equator to the east, around the north pole.
 
-        motion = mr.sphere_motion(model(ages), model.velocity(ages))
-        np.degrees(motion.speed), motion.azimuth
+    ```python
+    motion = mr.sphere_motion([1.0, 0.0, 0.0], [0.0, 2.0, 0.0])
+    motion.speed  # 2.0
+    motion.azimuth  # 90.0
+    motion.euler_pole  # 0.0, 0.0, 1.0
+    ```
     """
     p, v = jnp.broadcast_arrays(_arrays("p", p, (3,)), _arrays("v", v, (3,)))
     turn = jnp.cross(p, v)

@@ -90,6 +90,16 @@ def solve(
     (`SeveralMinimaWarning`) where a start ends in a minimum less than 1 % higher, in a
     map that differs by more than the data do. `stats` tells the number of minima and the
     relative gap to the second (not of traced problems).
+
+    **Example:** the path at 65 Ma, and how it depends on lambda.
+
+    ```python
+    data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+    interval, sphere = mr.Interval(0, 320), mr.Sphere(2)
+    problem = mr.make_problem(interval, sphere, data.ages, data.directions)
+    place = lambda lam: mr.solve(problem, lam)(65.0)
+    place(1e3), jax.jacfwd(place)(1e3)
+    ```
     """
     lam = check_lam(lam)
     _check_options(problem, method, starts, warm, max_steps)

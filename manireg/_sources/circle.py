@@ -28,9 +28,13 @@ class Circle(AbstractSource):
 
     **Example:** the wind, a direction, over the hours of a day; hour 25 is hour 1.
 
-        day = mr.Circle(24)
-        model = mr.fit(day, mr.Sphere(1), hours, directions, lam=10.0)
-        model(25.0) == model(1.0)
+    ```python
+    hours = np.arange(0, 48, 3.0)
+    angles = np.sin(2 * np.pi * hours / 24)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    model = mr.fit(mr.Circle(24), mr.Sphere(1), hours, directions, lam=10.0)
+    jnp.abs(model(25.0) - model(1.0)).max() < 1e-9  # True
+    ```
     """
 
     period: float = eqx.field(

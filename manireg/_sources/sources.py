@@ -43,6 +43,12 @@ class Box(AbstractBounded):
 
     **Arguments:** `lower`, `upper`: sequences of m numbers (or dates, as of `Interval`),
     lower < upper. Points are arrays `(..., m)`.
+
+    **Example:**
+
+    ```python
+    mr.Box([0, 0], [18, 18])  # a slice of 18 mm by 18 mm
+    ```
     """
 
     lower: tuple[float, ...] = eqx.field(static=True, converter=lambda v: _bounds(v))
@@ -81,6 +87,13 @@ class Interval(AbstractBounded):
     since 1970-01-01 UTC (those without a time zone count as UTC), durations seconds. That
     is the unit of the source: lambda is in s^3. A float64 tells today's dates apart to
     2e-7 s; for finer times take durations since the first.
+
+    **Example:**
+
+    ```python
+    mr.Interval(0, 550)  # ages
+    mr.Interval(np.datetime64("2024-05-01"), np.datetime64("2024-05-31"))  # seconds
+    ```
     """
 
     a: float = eqx.field(static=True, converter=lambda v: _bound(v))
@@ -112,6 +125,13 @@ class Ambient(AbstractSource):
     directions of them. Stiffer than the manifold itself: bending of it costs, too.
 
     **Arguments:** `manifold`, any manifold. Points are points of it.
+
+    **Example:**
+
+    ```python
+    cloud = mr.PointCloud.from_mesh(trimesh.creation.icosphere(subdivisions=2))
+    mr.Ambient(cloud).dim  # 3
+    ```
     """
 
     manifold: AbstractManifold

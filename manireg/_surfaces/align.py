@@ -62,7 +62,17 @@ def align(source: SurfaceLike, target: SurfaceLike) -> Float[np.ndarray, "4 4"]:
 
     **Warns** (UserWarning) where another rotation fits about as well: of a ball, or of
     what looks the same from two sides, the shape does not tell.
-    **Raises** ValueError for what `load_surface` rejects."""
+    **Raises** ValueError for what `load_surface` rejects.
+
+    **Example:** an ellipsoid that was moved.
+
+    ```python
+    egg = trimesh.creation.icosphere(subdivisions=2).apply_scale([1.0, 1.6, 2.3])
+    egg.vertices += 0.1 * egg.vertices**2  # no symmetry is left
+    moved = egg.copy().apply_translation([5.0, 0.0, 1.0])
+    mr.align(egg, moved)[:3, 3].round(3)  # 5.0, 0.0, 1.0
+    ```
+    """
     check_x64()
     ours, theirs = given_surface("source", source), given_surface("target", target)
     ours, theirs = _drawn(ours.cloud), _drawn(theirs.cloud)

@@ -66,7 +66,7 @@ LandmarksLike = Landmarks | str | os.PathLike | ArrayLike
 def read_landmarks(
     file: str | os.PathLike, *, specimen: str | int | None = None
 ) -> Landmarks:
-    """The landmarks in a file.
+    r"""The landmarks in a file.
 
     **Arguments:**
 
@@ -84,6 +84,13 @@ def read_landmarks(
 
     **Raises** ValueError for a file that is not what its name says, that has no points, or
     points of two dimensions; FileNotFoundError.
+
+    **Example:**
+
+    ```python
+    Path("two.csv").write_text("name,x,y,z\nnose,1,2,3\nchin,1,0,3\n")
+    mr.read_landmarks("two.csv").names  # ('nose', 'chin')
+    ```
     """
     path = Path(file).expanduser()
     if not path.is_file():

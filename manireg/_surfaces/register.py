@@ -107,6 +107,16 @@ def register(
     **Raises** ValueError for landmarks that are too few, off the surface, NaN or on one
     line, for meshes of opposite orientation, and for what `load_surface` and
     `read_landmarks` reject; RuntimeError for a fit that ends in NaN.
+
+    **Example:** a ball onto an ellipsoid, by 11 vertices of each.
+
+    ```python
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    egg = ball.copy().apply_scale([1.0, 1.2, 0.8])
+    marks = np.arange(0, 162, 15)
+    found = mr.register(ball, egg, marks, marks, 1e-3)
+    np.abs(found.vertices - egg.vertices).max() < 0.05  # True
+    ```
     """
     check_x64()
     _check_beginning(source_landmarks, target_landmarks, start, surface)

@@ -32,6 +32,13 @@ def frechet_mean(
     `max_steps` times; the lowest sum wins. The minimiser is unique if the points lie in
     a ball of radius less than half the injectivity radius and
     $\pi / (2 \sqrt{\max K})$ (Karcher 1977).
+
+    **Example:**
+
+    ```python
+    points = jnp.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    mr.baselines.frechet_mean(mr.Sphere(2), points, jnp.ones(2))  # 0.7071, 0.7071, 0.0
+    ```
     """
     share = weights / jnp.sum(weights)
     axes = len(target.point_shape)

@@ -67,6 +67,16 @@ def geodesic_regression(
 
     **Arguments:** `source` an `Interval`, a `Box` or a `Euclidean` space; `target`,
     `x`, `y`, `weights` as for `manireg.fit`.
+
+    **Example:**
+
+    ```python
+    data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+    model = mr.baselines.geodesic_regression(
+        mr.Interval(0, 320), mr.Sphere(2), data.ages, data.directions
+    )
+    model(65.0)
+    ```
     """
     check_x64()
     check_source(source)

@@ -80,6 +80,16 @@ def nadaraya_watson(
     - `bandwidths`: the grid to choose from. Default 20 values in geometric progression,
       from half the median distance of an input to the nearest other one, to half the
       largest distance; extended (at most twice) where the best one sits on an edge.
+
+    **Example:**
+
+    ```python
+    data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+    model = mr.baselines.nadaraya_watson(
+        mr.Interval(0, 320), mr.Sphere(2), data.ages, data.directions, 10.0
+    )
+    model(65.0)
+    ```
     """
     check_x64()
     check_choice(bandwidth, bandwidths, "bandwidth")

@@ -80,6 +80,16 @@ def projected_thin_plate(
     **Arguments:** as for `manireg.cross_validate`. With `lam` given nothing is
     cross-validated; without, lambda comes from `lams` or from `manireg.lambda_grid`
     (then widened past its edges), scored by the geodesic error of projected predictions.
+
+    **Example:**
+
+    ```python
+    data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+    model = mr.baselines.projected_thin_plate(
+        mr.Interval(0, 320), mr.Sphere(2), data.ages, data.directions, 1e3
+    )
+    model(65.0)
+    ```
     """
     check_choice(lam, lams, "lam")
     problem = make_problem(

@@ -38,6 +38,18 @@ def volume_spline(
     - `target`: a `PointCloud`, e.g. `PointCloud.from_mesh(mesh)`.
     - `smoothing`: 0 interpolates; for noisy landmarks see scipy's `RBFInterpolator`,
       which does the work, and `held_out_errors`.
+
+    **Example:**
+
+    ```python
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    egg = mr.PointCloud.from_mesh(ball.copy().apply_scale([1.0, 1.2, 0.8]))
+    marks = np.arange(0, 162, 15)
+    warp = mr.baselines.volume_spline(
+        ball.vertices, ball.vertices[marks], egg.points[marks], egg
+    )
+    warp.vertices.shape  # 162, 3
+    ```
     """
     check_x64(target)
     if kernel not in ("linear", "thin_plate_spline"):

@@ -46,6 +46,13 @@ def line_on_sphere(
     polar angle, phi the azimuth (length 36.7, Eells energy 1.04e6); `"azimuth"`: theta
     is the azimuth, phi the elevation, as in MATLAB's `sph2cart` (41.6 and 1.1e5).
     `sort=True` sorts the inputs.
+
+    **Example:**
+
+    ```python
+    data = mr.datasets.line_on_sphere(jax.random.key(0), k=70, kappa=1000)
+    data.x, data.y  # (70,), (70, 3)
+    ```
     """
     check_x64()
     if convention not in ("polar", "azimuth"):

@@ -37,7 +37,15 @@ class PolarWander(NamedTuple):
 def polar_wander(plate: str = "india") -> PolarWander:
     """The running-mean apparent polar wander path of one plate (see
     `polar_wander_plates`), 0 to 320 million years at steps of 10: Torsvik et al. 2008
-    (Rev. Geophys. 46, RG3004), from pmagpy 4.5.2 (BSD-3-Clause, see `NOTICE`)."""
+    (Rev. Geophys. 46, RG3004), from pmagpy 4.5.2 (BSD-3-Clause, see `NOTICE`).
+
+    **Example:**
+
+    ```python
+    data = mr.datasets.polar_wander("india")
+    data.ages, data.directions, data.a95  # Ma, unit vectors, degrees
+    ```
+    """
     table = rows_of(_bundled(), "plate", plate)
     return PolarWander(
         ages=table["age_ma"],

@@ -51,8 +51,10 @@ def palaeomagnetic_poles(plate: str | None = None) -> PalaeomagneticPoles:
     Gondwana. They were rotated as the plates moved, so that poles of one age would agree
     but for their errors.
 
-        poles = mr.datasets.palaeomagnetic_poles("gondwana")
-        sigma = mr.from_a95(poles.a95)
+    ```python
+    poles = mr.datasets.palaeomagnetic_poles("gondwana")
+    sigma = mr.from_a95(poles.a95)
+    ```
 
     Torsvik et al. 2012 (Earth-Sci. Rev. 114, 325), through SphereUDE-examples
     (BSD-3-Clause, see `NOTICE`).

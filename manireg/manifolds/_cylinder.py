@@ -24,6 +24,13 @@ class Cylinder(AbstractManifold):
     all formulas are those of the circle in $(x, y)$ and of the line in z.
 
     **Arguments:** `radius` (default 1), a float or a traced scalar.
+
+    **Example:**
+
+    ```python
+    cylinder = mr.Cylinder(2.0)
+    cylinder.project(jnp.array([3.0, 4.0, 7.0]))  # 1.2, 1.6, 7.0
+    ```
     """
 
     radius: ScalarLike = 1.0

@@ -18,6 +18,13 @@ class Ellipsoid(AbstractManifold):
     r"""$\{p \in \mathbb{R}^s : \sum_i p_i^2 / a_i^2 = 1\}$, s >= 2.
 
     **Arguments:** `axes` the semi-axes a, `(s,)`; differentiable.
+
+    **Example:**
+
+    ```python
+    globe = mr.Ellipsoid(jnp.array([6378.137, 6378.137, 6356.752]))  # WGS 84, km
+    globe.project(jnp.array([0.0, 0.0, 7000.0]))  # 0.0, 0.0, 6356.752
+    ```
     """
 
     axes: Float[Array, " s"] = eqx.field(converter=lambda a: jnp.asarray(a, float))

@@ -11,7 +11,14 @@ from ._base import AbstractManifold
 
 
 class Euclidean(AbstractManifold):
-    r"""$\mathbb{R}^n$: $\pi = \mathrm{id}$, $P = I$, $II = 0$, $d(p,q) = |p - q|$."""
+    r"""$\mathbb{R}^n$: $\pi = \mathrm{id}$, $P = I$, $II = 0$, $d(p,q) = |p - q|$.
+
+    **Example:**
+
+    ```python
+    mr.Euclidean(2).squared_distance(jnp.zeros(2), jnp.array([3.0, 4.0]))  # 25.0
+    ```
+    """
 
     dim: int = eqx.field(static=True)
 

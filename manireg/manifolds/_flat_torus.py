@@ -29,6 +29,15 @@ class FlatTorus(AbstractManifold):
 
     **Arguments:** `dim` the dimension n >= 1; `radii` (default 1), one for all or
     `(n,)`.
+
+    **Example:**
+
+    ```python
+    torus = mr.FlatTorus(2)
+    p = jnp.array([1.0, 0.0, 1.0, 0.0])  # both angles 0
+    q = jnp.array([0.0, 1.0, 0.0, 1.0])  # both angles a quarter turn
+    torus.squared_distance(p, q)  # 4.9348
+    ```
     """
 
     dim: int = eqx.field(static=True)

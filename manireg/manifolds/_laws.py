@@ -34,6 +34,14 @@ def check_manifold(
 
     **Raises:** ValueError for the first law broken, with the method, the size of the
     violation, the point and what to look at.
+
+    **Example:**
+
+    ```python
+    sphere = mr.Sphere(2)
+    laws = mr.check_manifold(sphere, sphere.random_points(jax.random.key(0), 5))
+    max(laws.values()) < 1e-6  # True
+    ```
     """
     if jnp.result_type(float) != jnp.float64:
         raise ValueError(

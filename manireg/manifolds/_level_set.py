@@ -27,6 +27,13 @@ class LevelSet(AbstractManifold):
     differentiate or vmap); `ambient_dim` s; `reach`, estimated if not given; `center`
     (default 0) and `scale` (default 1), the mean and standard deviation of the normal
     distribution whose projection is `random_points`.
+
+    **Example:** the unit sphere again.
+
+    ```python
+    sphere = mr.LevelSet(lambda p: p @ p - 1, 3)
+    sphere.project(jnp.array([0.0, 0.0, 1.2]))  # 0.0, 0.0, 1.0
+    ```
     """
 
     function: Callable[[Array], Array]

@@ -19,6 +19,14 @@ class Product(AbstractManifold):
     by factor. A point is the factors' points, flattened and concatenated, see `join`.
 
     **Arguments:** the factors, one after the other: `Product(Sphere(2), Euclidean(1))`.
+
+    **Example:** a pose, rotation and position.
+
+    ```python
+    pose = mr.Product(mr.SpecialOrthogonal(3), mr.Euclidean(3))
+    p = pose.join(jnp.eye(3), jnp.array([1.0, 2.0, 0.0]))  # 12 numbers
+    rotation, position = pose.split(p)
+    ```
     """
 
     factors: tuple[AbstractManifold, ...]

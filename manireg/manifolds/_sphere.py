@@ -34,6 +34,15 @@ class Sphere(AbstractManifold):
 
     **Arguments:** `dim` the dimension n >= 1; `radius` (default 1), a float or a traced
     scalar.
+
+    **Example:**
+
+    ```python
+    north, east = jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 0.0, 0.0])
+    sphere = mr.Sphere(2)
+    jnp.sqrt(sphere.squared_distance(north, east))  # 1.5708
+    sphere.log(north, east)  # 1.5708, 0.0, 0.0
+    ```
     """
 
     dim: int = eqx.field(static=True)

@@ -20,6 +20,13 @@ class Torus(AbstractManifold):
 
     **Arguments:** `R` the radius of the core, `r` < R the radius of the tube, floats
     or traced scalars.
+
+    **Example:**
+
+    ```python
+    torus = mr.Torus(2.0, 0.5)
+    torus.project(jnp.array([4.0, 0.0, 0.0]))  # 2.5, 0.0, 0.0
+    ```
     """
 
     R: ScalarLike = 2.0

@@ -35,7 +35,16 @@ def restricted(welded: Welded, kept) -> Welded:
 
 def largest_component(mesh: trimesh.Trimesh | str | os.PathLike) -> trimesh.Trimesh:
     """The mesh (or the mesh in a file) without the triangles of all components but that of
-    the largest area; all vertices stay, so their numbers do."""
+    the largest area; all vertices stay, so their numbers do.
+
+    **Example:**
+
+    ```python
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    two = ball + ball.copy().apply_scale(0.1).apply_translation([3, 0, 0])
+    len(mr.meshes.largest_component(two).faces)  # 320
+    ```
+    """
     mesh = as_mesh(mesh)
     welded = weld(mesh)
     part = components_of(welded)

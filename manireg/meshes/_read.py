@@ -28,7 +28,15 @@ def read_mesh(file: str | os.PathLike[str]) -> trimesh.Trimesh:
     are cut into triangles. STL files do not number vertices: equal corners become one,
     in the order of their first appearance.
 
-    **Raises** ValueError for a file that cannot be read or holds no triangles."""
+    **Raises** ValueError for a file that cannot be read or holds no triangles.
+
+    **Example:**
+
+    ```python
+    mr.meshes.write_mesh(trimesh.creation.icosphere(subdivisions=2), "ball.obj")
+    len(mr.meshes.read_mesh("ball.obj").vertices)  # 162
+    ```
+    """
     found = read_surface(file)
     if isinstance(found, FilePoints):
         raise ValueError(

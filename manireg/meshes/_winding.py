@@ -22,7 +22,16 @@ def wound_alike(mesh: trimesh.Trimesh | str | os.PathLike) -> trimesh.Trimesh:
     surfaces of which more than a quarter would be turned come out with their normals
     outwards.
 
-    **Raises** ValueError where that is impossible, as on a Moebius strip."""
+    **Raises** ValueError where that is impossible, as on a Moebius strip.
+
+    **Example:**
+
+    ```python
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    ball.faces[:40] = ball.faces[:40, ::-1]
+    mr.meshes.wound_alike(ball).is_winding_consistent  # True
+    ```
+    """
     mesh = as_mesh(mesh)
     welded = weld(mesh)
     faces = np.array(mesh.faces)

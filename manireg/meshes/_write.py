@@ -18,6 +18,12 @@ def write_mesh(mesh: trimesh.Trimesh, file: str | os.PathLike[str]) -> Path:
     coordinates exactly. PLY and STL are in single precision where that moves no vertex by
     more than 1e-7 of the size of the mesh, else in double precision (STL: as text). Other
     formats are in single precision: where it is too coarse, a PLY file is written instead.
+
+    **Example:**
+
+    ```python
+    mr.meshes.write_mesh(trimesh.creation.icosphere(subdivisions=2), "ball.ply")
+    ```
     """
     path = Path(file)
     suffix, vertices = path.suffix.lower(), np.asarray(mesh.vertices)

@@ -44,6 +44,15 @@ def sphere_path(
     `weights` (k,) the areas of the dots, relative to the largest, such as
     `model.data_weights`; `view` the direction towards the eye, by default `view_of` data
     and path; `label` names the input; `ax` the axes to draw in, by default a new figure.
+
+    **Example:**
+
+    ```python
+    data = mr.datasets.polar_wander("india")  # 33 poles: ages, unit vectors
+    model = mr.fit(mr.Interval(0, 320), mr.Sphere(2), data.ages, data.directions, 1e3)
+    picture = mr.plot.sphere_path(model, data.ages, data.directions, a95=data.a95)
+    mr.plot.save(picture, "path.pdf")
+    ```
     """
     with matplotlib().rc_context(STYLE):
         from matplotlib.cm import ScalarMappable

@@ -26,6 +26,16 @@ class PlanarShapes(AbstractManifold):
     between landmarks `(..., k, 2)` and points.
 
     **Arguments:** `k` >= 3, the number of landmarks.
+
+    **Example:** position, size and turn do not matter.
+
+    ```python
+    shapes = mr.PlanarShapes(3)
+    triangle = np.array([[120, 40], [300, 55], [210, 260]])  # pixels
+    turned = 7 - 2 * triangle
+    p, q = shapes.from_landmarks(np.stack([triangle, turned]))
+    shapes.squared_distance(p, q)  # 0.000
+    ```
     """
 
     k: int = eqx.field(static=True)

@@ -121,6 +121,14 @@ class SymmetricPositiveDefinite(AbstractPositiveDefinite):
     basis.
 
     **Arguments:** `n` >= 1, the size of the matrices.
+
+    **Example:** the mean of determinants 1 and 16 is the geometric one.
+
+    ```python
+    spd = mr.SymmetricPositiveDefinite(2)
+    p, q = spd.from_matrices(np.stack([np.eye(2), 4 * np.eye(2)]))
+    jnp.linalg.det(spd.to_matrices((p + q) / 2))  # 4.000
+    ```
     """
 
     n: int = eqx.field(static=True)

@@ -21,6 +21,14 @@ class SpecialOrthogonal(AbstractManifold):
     Frobenius metric; for n = 3 distances are $\sqrt 2$ times the rotation angle.
 
     **Arguments:** `n` >= 2, the size of the matrices.
+
+    **Example:** a turn by 0.5 radians is $\sqrt 2 / 2$ from the identity.
+
+    ```python
+    turn = jnp.array(Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix())
+    so3 = mr.SpecialOrthogonal(3)
+    jnp.sqrt(so3.squared_distance(jnp.eye(3), turn))  # 0.7071
+    ```
     """
 
     n: int = eqx.field(static=True)

@@ -23,6 +23,13 @@ class Stiefel(AbstractManifold):
     (Frobenius) metric; `Stiefel(n, 1)` is the unit sphere.
 
     **Arguments:** `n`, `p` with 1 <= p < n.
+
+    **Example:**
+
+    ```python
+    frames = mr.Stiefel(3, 2)
+    frames.project(jnp.array([[2.0, 0.0], [0.0, 3.0], [0.0, 0.0]])).sum()  # 2.0
+    ```
     """
 
     n: int = eqx.field(static=True)

@@ -60,6 +60,13 @@ class PointCloud(AbstractManifold):
     the surface.
 
     Source: Steinke and Hein 2008, section 4; the linear term is ours.
+
+    **Example:** a sphere known by the vertices of a mesh.
+
+    ```python
+    cloud = mr.PointCloud.from_mesh(trimesh.creation.icosphere(subdivisions=3))
+    cloud.signed_distance(jnp.array([0.0, 0.0, 1.1]))  # 0.10
+    ```
     """
 
     points: Float[Array, "P s"]

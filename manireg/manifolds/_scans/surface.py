@@ -105,6 +105,14 @@ def load_surface(
     **Raises** ValueError for a file that cannot be read, for what leaves fewer than 7
     points, triangles whose vertices do not exist, surfaces of one side only (a Moebius
     strip), and points whose normals change sides along the surface.
+
+    **Example:**
+
+    ```python
+    surface = mr.load_surface(trimesh.creation.icosphere(subdivisions=2))
+    print(surface.report)
+    len(surface.cloud.points)  # 162
+    ```
     """
     if isinstance(surface, Surface):
         return surface
