@@ -101,12 +101,7 @@ def column(
 ) -> list[str]:
     """The numbers of a column as `float` reads them, all there and finite. `letters`:
     see `numerals`; by default the name of the column tells."""
-    entries = table.columns[name]
-    letters = hemispheres(name) if letters is None else letters
-    try:
-        texts = numerals(entries, table.marks, letters)
-    except BadEntry as bad:
-        raise ValueError(_bad_entry(table, name, option, bad)) from None
+    texts = _texts(table, name, option, letters)
     gaps = [i for i, t in enumerate(texts) if not t or not np.isfinite(float(t))]
     if gaps:
         raise ValueError(f"{_gaps(table, name, gaps)} Remove these rows.")
@@ -126,6 +121,23 @@ def numbers(
         for name, of in zip(names, letters, strict=True)
     ]
     return np.array(texts, dtype=object).astype(float).T
+
+
+def numbers_or_nan(table: TextTable, name: str, option: str) -> np.ndarray:
+    """A column (k,) with NaN where there is no entry. Infinity counts as none."""
+    texts = _texts(table, name, option, None)
+    values = np.array([float(text) if text else np.nan for text in texts])
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _texts(
+    table: TextTable, name: str, option: str, letters: str | None
+) -> list[str]:
+    letters = hemispheres(name) if letters is None else letters
+    try:
+        return numerals(table.columns[name], table.marks, letters)
+    except BadEntry as bad:
+        raise ValueError(_bad_entry(table, name, option, bad)) from None
 
 
 def refuse(
