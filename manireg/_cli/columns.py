@@ -89,8 +89,8 @@ def complete(table: TextTable, names: list[str], missing: Missing) -> TextTable:
     lines = [table.lines[i] for i in left_out]
     warnings.warn(
         f"{table.path}: {len(left_out)} of {len(table.rows)} rows have missing values and "
-        f"are left out: data row{'s' * (len(rows) > 1)} {_runs(rows)} (line"
-        f"{'s' * (len(lines) > 1)} {_runs(lines)}); first, {what}.",
+        f"are left out: data row{'s' * (len(rows) > 1)} {runs(rows)} (line"
+        f"{'s' * (len(lines) > 1)} {runs(lines)}); first, {what}.",
         stacklevel=2,
     )
     return table.take(kept)
@@ -130,9 +130,7 @@ def numbers_or_nan(table: TextTable, name: str, option: str) -> np.ndarray:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _texts(
-    table: TextTable, name: str, option: str, letters: str | None
-) -> list[str]:
+def _texts(table: TextTable, name: str, option: str, letters: str | None) -> list[str]:
     letters = hemispheres(name) if letters is None else letters
     try:
         return numerals(table.columns[name], table.marks, letters)
@@ -186,10 +184,10 @@ def _folded(name: str) -> str:
     return " ".join(tidy(name).casefold().split())
 
 
-def _runs(numbers: list[int]) -> str:
+def runs(numbers: list[int]) -> str:
     """`3, 7 to 9`."""
     grouped = groupby(enumerate(numbers), lambda pair: pair[1] - pair[0])
-    runs = [[number for _, number in run] for _, run in grouped]
-    texts = [f"{r[0]} to {r[-1]}" if len(r) > 1 else str(r[0]) for r in runs]
-    more = sum(map(len, runs[MOST_SHOWN:]))
+    found = [[number for _, number in run] for _, run in grouped]
+    texts = [f"{r[0]} to {r[-1]}" if len(r) > 1 else str(r[0]) for r in found]
+    more = sum(map(len, found[MOST_SHOWN:]))
     return ", ".join(texts[:MOST_SHOWN]) + (f" and {more} more" if more else "")

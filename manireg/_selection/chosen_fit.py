@@ -158,9 +158,7 @@ def _input_errors(source, x, x_sigma, x_min, x_max, x_error: str):
 def _check(
     known: bool, order: Order, distance: str, folds: int | None, loss, criterion: str
 ) -> None:
-    if distance not in ("chord", "geodesic") or (
-        distance == "geodesic" and not known
-    ):
+    if distance not in ("chord", "geodesic") or (distance == "geodesic" and not known):
         raise ValueError(
             "distance: expected 'chord' or, with a given `lam`, 'geodesic'; found "
             f"{distance!r}."

@@ -1,0 +1,127 @@
+"""The picture of a path of poles: where it is, and how fast it went."""
+
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+
+from ..datasets._tables import directions, unit
+from ..plot._band import spread_along
+from ..plot._figure import BLUE, GREY, STYLE, figure, matplotlib
+from ..plot._globe import Globe, globe, pale, view_of
+
+DARK = "#33373c"
+MANY = 150  # poles, whose circles are drawn as lines alone
+LINE = 600  # ages along the path
+BAND = 200
+MARKS = 6  # ages that are named, about
+STEPS = np.array([1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
+
+
+def draw(path: Any, projection: str, level: float) -> Any:
+    """Of a `PolePath`. **Raises** ValueError for other projections."""
+    if projection not in ("globe", "polar"):
+        raise ValueError(
+            f"projection: expected 'globe' or 'polar', found {projection!r}."
+        )
+    with matplotlib().rc_context(STYLE):
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import ListedColormap, Normalize
+
+        poles = path.poles
+        first, last = (f([*path.ages, *poles.age]) for f in (np.min, np.max))
+        ages = np.linspace(first, last, LINE)
+        line = unit(path.model(ages))
+        known = np.isfinite(path.posterior.scale)
+        rims = None
+        if known:
+            at = spread_along(ages, line, BAND)
+            rims = np.asarray(path.posterior.region(at, level).outline())
+        dark = ListedColormap(matplotlib().colormaps["viridis"](range(236)))
+        colour = ScalarMappable(Normalize(first, last), dark)
+        picture = figure(3.5, 4.9)
+        above, below = picture.subplots(2, 1, height_ratios=[3.1, 1.0])
+        drawn = _background(path, above, projection, line, rims)
+        _draw_poles(drawn, poles, colour)
+        if rims is not None:
+            drawn.band(rims, GREY)
+        drawn.path(line, colour.to_rgba(ages), linewidths=1.8)
+        _name_ages(drawn, path.model, first, last)
+        bar = picture.colorbar(colour, ax=above, shrink=0.75, aspect=25, pad=0.03)
+        bar.set_label("age (Ma)")
+        bar.outline.set_linewidth(0.4)
+        _draw_rate(path, below, ages, colour, level if known else None)
+        return picture
+
+
+def _background(path: Any, ax: Any, projection: str, line, rims) -> Globe:
+    poles = path.poles
+    if projection == "polar":
+        up = -1.0 if path.hemisphere == "south" else 1.0
+        drawn = globe(ax, view=(0.0, 0.0, up), graticule=30, equal_area=True)
+        ax.spines[:].set(visible=False)
+        for lon in (0, 90, 180, 270):
+            place = 1.07 * drawn.flatten(directions(0.0, lon))[0]
+            style = {"fontsize": 6, "color": GREY, "ha": "center", "va": "center"}
+            ax.text(*place, f"{lon}°", **style, clip_on=False)
+        return drawn
+    seen = [line, poles.directions] + ([] if rims is None else [rims.reshape(-1, 3)])
+    seen = unit(np.concatenate(seen))
+    view = view_of(unit(np.concatenate([line, poles.directions])))
+    off = float(np.arccos(np.clip((seen @ view).min(), -1, 1)))
+    if poles.a95 is not None:
+        off += float(np.radians(np.max(poles.a95)))
+    radius = 1.1 * np.sin(off) if off < 0.5 else 1.0
+    return globe(ax, view=view, radius=radius)
+
+
+def _draw_poles(drawn: Globe, poles: Any, colour: Any) -> None:
+    colours = colour.to_rgba(poles.age)
+    many = len(poles.age) > MANY
+    if poles.a95 is not None:
+        style: dict[str, Any] = {}
+        if many:
+            edges = {"edgecolors": "0.55", "facecolors": "none"}
+            style = edges | {"linewidths": 0.15, "alpha": 0.5}
+        drawn.circles(poles.directions, poles.a95, colours, **style)
+    # below the band and the path, which many would hide
+    style = {"zorder": 2.2} if many else {}
+    size = 6 if many else 14
+    drawn.points(poles.directions, colours, size, linewidths=0.3, **style)
+
+
+def _name_ages(drawn: Globe, model: Any, first: float, last: float) -> None:
+    from matplotlib.patheffects import withStroke
+
+    step = STEPS[np.argmin(np.abs(np.log((last - first) / MARKS / STEPS)))]
+    ages = step * np.arange(np.ceil(first / step - 0.1), np.floor(last / step) + 1)
+    ages = ages[ages >= first]
+    if len(ages) == 0:
+        return
+    points = unit(model(ages))
+    drawn.points(points, DARK, 10, linewidths=0.5, zorder=7)
+    places, near = drawn.flatten(points)
+    halo = [withStroke(linewidth=1.6, foreground="white")]
+    style = {"fontsize": 6, "color": DARK, "zorder": 9, "path_effects": halo}
+    for age, place, seen in zip(ages, places, near, strict=True):
+        if seen:
+            offset = {"xytext": (4, 3), "textcoords": "offset points"}
+            drawn.axes.annotate(f"{age:g}", place, **offset, **style)
+
+
+def _draw_rate(path: Any, ax: Any, ages, colour: Any, level: float | None) -> None:
+    at = ages[:: LINE // BAND]
+    motion = path.posterior.sphere_motion(at)
+    rate = np.degrees(motion.speed)
+    if level is not None:
+        reach = norm.ppf(0.5 + level / 2) * np.degrees(motion.speed_deviation)
+        low, high = np.maximum(rate - reach, 0.0), rate + reach
+        shade = pale(np.asarray(colour.to_rgba(at)), 0.35)
+        for i in range(len(at) - 1):
+            some = slice(i, i + 2)
+            ax.fill_between(at[some], low[some], high[some], color=shade[i], lw=0)
+        ax.set_ylim(0, 1.05 * np.quantile(high, 0.98))
+    ax.plot(at, rate, color=DARK, lw=1.2)
+    poles = path.poles
+    ax.plot(poles.age, 0 * poles.age, "|", color=BLUE, ms=4, mew=0.4, clip_on=False)
+    ax.set(xlabel="age (Ma), poles as ticks", ylabel="rate (°/Myr)", xlim=at[[0, -1]])
