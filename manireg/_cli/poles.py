@@ -139,8 +139,9 @@ def _found(
         columns[role] = alike[0]
     if not {"lat", "lon"} <= columns.keys():
         raise ValueError(
-            f"{table.path} has no columns of poles, such as `lat` and `lon`, or `plat` and "
-            f"`plon`. It has: {', '.join(table.columns)}. Name them: --lat-lon LAT,LON."
+            f"{table.path} has no columns of poles, such as `lat` and `lon`, or `plat` "
+            f"and `plon`. It has: {', '.join(table.columns)}. Name them: --lat-lon "
+            "LAT,LON."
         )
     return columns
 

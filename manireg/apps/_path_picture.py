@@ -7,13 +7,14 @@ from scipy.stats import norm
 
 from ..datasets._tables import directions, unit
 from ..plot._band import spread_along
-from ..plot._figure import BLUE, GREY, STYLE, figure, matplotlib
-from ..plot._globe import Globe, globe, pale, view_of
+from ..plot._figure import GREY, STYLE, figure, matplotlib
+from ..plot._globe import Globe, globe, view_of
 
 DARK = "#33373c"
 MANY = 150  # poles, whose circles are drawn as lines alone
 LINE = 600  # ages along the path
 BAND = 200
+NARROW = 0.95  # radians from the middle: less is enlarged
 MARKS = 6  # ages that are named, about
 STEPS = np.array([1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
 
@@ -39,8 +40,8 @@ def draw(path: Any, projection: str, level: float) -> Any:
             rims = np.asarray(path.posterior.region(at, level).outline())
         dark = ListedColormap(matplotlib().colormaps["viridis"](range(236)))
         colour = ScalarMappable(Normalize(first, last), dark)
-        picture = figure(3.5, 4.9)
-        above, below = picture.subplots(2, 1, height_ratios=[3.1, 1.0])
+        picture = figure(3.5, 4.5)
+        above, below = picture.subplots(2, 1, height_ratios=[3.0, 1.0])
         drawn = _background(path, above, projection, line, rims)
         _draw_poles(drawn, poles, colour)
         if rims is not None:
@@ -71,7 +72,7 @@ def _background(path: Any, ax: Any, projection: str, line, rims) -> Globe:
     off = float(np.arccos(np.clip((seen @ view).min(), -1, 1)))
     if poles.a95 is not None:
         off += float(np.radians(np.max(poles.a95)))
-    radius = 1.1 * np.sin(off) if off < 0.5 else 1.0
+    radius = 1.1 * np.sin(off) if off < NARROW else 1.0
     return globe(ax, view=view, radius=radius)
 
 
@@ -81,12 +82,11 @@ def _draw_poles(drawn: Globe, poles: Any, colour: Any) -> None:
     if poles.a95 is not None:
         style: dict[str, Any] = {}
         if many:
-            edges = {"edgecolors": "0.55", "facecolors": "none"}
-            style = edges | {"linewidths": 0.15, "alpha": 0.5}
+            style = {"facecolors": "none", "linewidths": 0.2}
         drawn.circles(poles.directions, poles.a95, colours, **style)
-    # below the band and the path, which many would hide
-    style = {"zorder": 2.2} if many else {}
-    size = 6 if many else 14
+    # below the path, which many would hide
+    style = {"zorder": 3.5} if many else {}
+    size = 5 if many else 14
     drawn.points(poles.directions, colours, size, linewidths=0.3, **style)
 
 
@@ -95,7 +95,7 @@ def _name_ages(drawn: Globe, model: Any, first: float, last: float) -> None:
 
     step = STEPS[np.argmin(np.abs(np.log((last - first) / MARKS / STEPS)))]
     ages = step * np.arange(np.ceil(first / step - 0.1), np.floor(last / step) + 1)
-    ages = ages[ages >= first]
+    ages = ages[ages >= first] + 0.0  # no -0
     if len(ages) == 0:
         return
     points = unit(model(ages))
@@ -116,12 +116,11 @@ def _draw_rate(path: Any, ax: Any, ages, colour: Any, level: float | None) -> No
     if level is not None:
         reach = norm.ppf(0.5 + level / 2) * np.degrees(motion.speed_deviation)
         low, high = np.maximum(rate - reach, 0.0), rate + reach
-        shade = pale(np.asarray(colour.to_rgba(at)), 0.35)
-        for i in range(len(at) - 1):
-            some = slice(i, i + 2)
-            ax.fill_between(at[some], low[some], high[some], color=shade[i], lw=0)
+        ax.fill_between(at, low, high, color=GREY, alpha=0.25, lw=0)
         ax.set_ylim(0, 1.05 * np.quantile(high, 0.98))
     ax.plot(at, rate, color=DARK, lw=1.2)
     poles = path.poles
-    ax.plot(poles.age, 0 * poles.age, "|", color=BLUE, ms=4, mew=0.4, clip_on=False)
+    ticks = {"linewidths": 0.6, "transform": ax.get_xaxis_transform(), "clip_on": False}
+    ax.vlines(poles.age, -0.05, 0, colors=colour.to_rgba(poles.age), **ticks)
+    ax.tick_params(axis="x", pad=4)
     ax.set(xlabel="age (Ma), poles as ticks", ylabel="rate (°/Myr)", xlim=at[[0, -1]])
