@@ -44,7 +44,7 @@ NAMES = {
     "name": "name polename id poleid rockunit formation plate plateid plate_name",
 }
 _UNITS = re.compile(r"[\[(].*?[\])]|°")
-_SUFFIX = re.compile(r"(deg|degrees|ma)$")
+_SUFFIX = re.compile(r"(deg|degrees|(?<!sig)ma)$")
 
 
 class PoleTable(NamedTuple):

@@ -61,10 +61,10 @@ def _background(path: Any, ax: Any, projection: str, line, rims) -> Globe:
         up = -1.0 if path.hemisphere == "south" else 1.0
         drawn = globe(ax, view=(0.0, 0.0, up), graticule=30, equal_area=True)
         ax.spines[:].set(visible=False)
-        for lon in (0, 90, 180, 270):
-            place = 1.07 * drawn.flatten(directions(0.0, lon))[0]
-            style = {"fontsize": 6, "color": GREY, "ha": "center", "va": "center"}
-            ax.text(*place, f"{lon}°", **style, clip_on=False)
+        lons = np.arange(0, 360, 90)
+        style = {"fontsize": 6, "color": GREY, "ha": "center", "va": "center"}
+        for lon, place in zip(lons, drawn.flatten(directions(0 * lons, lons))[0]):
+            ax.text(*(1.07 * place), f"{lon}°", **style, clip_on=False)
         return drawn
     seen = [line, poles.directions] + ([] if rims is None else [rims.reshape(-1, 3)])
     seen = unit(np.concatenate(seen))
