@@ -2,6 +2,7 @@
 trigonometry, scipy's rotations and smoothing splines."""
 
 import csv
+from typing import Any
 
 import numpy as np
 import pytest
@@ -449,7 +450,7 @@ def test_raw_tables(data_folder, tmp_path, name):
     assert result.exit_code == 0, result.output + repr(result.exception)
     table = read_table(tmp_path / "p.csv")
     assert all(np.isfinite(column).all() for column in table.values())
-    options = {}
+    options: dict[str, Any] = {}
     if "gondwana" in raw:
         raw = {n: c[raw["gondwana"] == 1] for n, c in raw.items()}
         a95, bounds = raw["a95"], (raw["age"].min(), raw["age"].max())
