@@ -222,8 +222,9 @@ def _ages(age: Float[np.ndarray, " n"], step: float | None) -> np.ndarray:
     """Multiples of the step, within the data or hardly beyond."""
     low, high = float(age.min()), float(age.max())
     if step is None:
-        step = 10.0 ** np.floor(np.log10(max(high - low, 1e-6) / MOST_AGES))
-        step *= next((s for s in STEPS if (high - low) / (s * step) <= MOST_AGES), 10.0)
+        least = max(high - low, 1e-6) / MOST_AGES
+        power = float(10.0 ** np.floor(np.log10(least)))
+        step = next((s * power for s in STEPS if s * power >= least), 10.0 * power)
     if not 0 < step < np.inf:
         raise ValueError(f"age_step: must be positive, in Myr, found {step}.")
     first, last = np.ceil(low / step - NEAR), np.floor(high / step + NEAR)

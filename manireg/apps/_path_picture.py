@@ -46,8 +46,13 @@ def draw(path: Any, projection: str, level: float) -> Any:
         _draw_poles(drawn, poles, colour)
         if rims is not None:
             drawn.band(rims, GREY)
+        drawn.path(line, "white", linewidths=3.0, zorder=4.9)
         drawn.path(line, colour.to_rgba(ages), linewidths=1.8)
-        _name_ages(drawn, path.model, first, last)
+        marks = _marks(first, last)
+        if known and len(marks):
+            for rim in np.asarray(path.posterior.region(marks, level).outline()):
+                drawn.path(rim, DARK, linewidths=0.5, zorder=4.5)
+        _name_ages(drawn, path.model, marks)
         bar = picture.colorbar(colour, ax=above, shrink=0.75, aspect=25, pad=0.03)
         bar.set_label("age (Ma)")
         bar.outline.set_linewidth(0.4)
@@ -66,12 +71,11 @@ def _background(path: Any, ax: Any, projection: str, line, rims) -> Globe:
         for lon, place in zip(lons, drawn.flatten(directions(0 * lons, lons))[0]):
             ax.text(*(1.07 * place), f"{lon}°", **style, clip_on=False)
         return drawn
-    seen = [line, poles.directions] + ([] if rims is None else [rims.reshape(-1, 3)])
-    seen = unit(np.concatenate(seen))
-    view = view_of(unit(np.concatenate([line, poles.directions])))
-    off = float(np.arccos(np.clip((seen @ view).min(), -1, 1)))
-    if poles.a95 is not None:
-        off += float(np.radians(np.max(poles.a95)))
+    view = view_of(np.concatenate([line, poles.directions]))
+    path_seen = line if rims is None else unit(rims.reshape(-1, 3))
+    off = np.arccos(np.clip(poles.directions @ view, -1, 1))
+    off += 0.0 if poles.a95 is None else np.radians(poles.a95)
+    off = max(off.max(), np.arccos(np.clip((path_seen @ view).min(), -1, 1)))
     radius = 1.1 * np.sin(off) if off < NARROW else 1.0
     return globe(ax, view=view, radius=radius)
 
@@ -90,12 +94,16 @@ def _draw_poles(drawn: Globe, poles: Any, colour: Any) -> None:
     drawn.points(poles.directions, colours, size, linewidths=0.3, **style)
 
 
-def _name_ages(drawn: Globe, model: Any, first: float, last: float) -> None:
-    from matplotlib.patheffects import withStroke
-
+def _marks(first: float, last: float) -> np.ndarray:
+    """Ages to be named."""
     step = STEPS[np.argmin(np.abs(np.log((last - first) / MARKS / STEPS)))]
     ages = step * np.arange(np.ceil(first / step - 0.1), np.floor(last / step) + 1)
-    ages = ages[ages >= first] + 0.0  # no -0
+    return ages[ages >= first] + 0.0  # no -0
+
+
+def _name_ages(drawn: Globe, model: Any, ages: np.ndarray) -> None:
+    from matplotlib.patheffects import withStroke
+
     if len(ages) == 0:
         return
     points = unit(model(ages))

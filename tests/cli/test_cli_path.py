@@ -289,7 +289,9 @@ def test_precision_from_what_there_is(tmp_path):
     expected = [5, np.degrees(np.sqrt(2 * np.log(20))) / 20, 6, np.nan]
     np.testing.assert_allclose(found.poles.a95, expected)
     median = np.median(expected[:3])
-    np.testing.assert_allclose(checked(found.poles, 0).a95, [*expected[:3], median])
+    a95 = checked(found.poles, 0).a95
+    assert a95 is not None
+    np.testing.assert_allclose(a95, [*expected[:3], median])
     assert found.precision == (
         "A95 of 1, K and N of 1, dp and dm of 1, none of 1: the median of the others, 6 "
         "degrees"
