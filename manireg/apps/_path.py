@@ -207,7 +207,9 @@ def path(
     bounds = np.array([*data.bounds, ages.min(), ages.max()])
     source = Interval(bounds.min(), bounds.max())
     noise = {**data.of_noise, "loss": loss, "order": order}
-    options = {"criterion": criterion, "progress": progress, "wavelength": wavelength}
+    options = {"criterion": criterion, "wavelength": wavelength}
+    if data.of_ages or lam is None and wavelength is None:
+        options |= {"progress": progress}  # one fit has none to show
     problem = source, Sphere(2), data.age, data.directions
     model, choice = chosen_fit(*problem, lam, noise, scatter, **data.of_ages, **options)
     # a lambda that is given is known

@@ -61,23 +61,35 @@ def draw(path: Any, projection: str, level: float) -> Any:
 
 
 def _background(path: Any, ax: Any, projection: str, line, rims) -> Globe:
-    poles = path.poles
     if projection == "polar":
-        up = -1.0 if path.hemisphere == "south" else 1.0
-        drawn = globe(ax, view=(0.0, 0.0, up), graticule=30, equal_area=True)
-        ax.spines[:].set(visible=False)
-        lons = np.arange(0, 360, 90)
-        style = {"fontsize": 6, "color": GREY, "ha": "center", "va": "center"}
-        for lon, place in zip(lons, drawn.flatten(directions(0 * lons, lons))[0]):
-            ax.text(*(1.07 * place), f"{lon}°", **style, clip_on=False)
-        return drawn
-    view = view_of(np.concatenate([line, poles.directions]))
-    path_seen = line if rims is None else unit(rims.reshape(-1, 3))
-    off = np.arccos(np.clip(poles.directions @ view, -1, 1))
-    off += 0.0 if poles.a95 is None else np.radians(poles.a95)
-    off = max(off.max(), np.arccos(np.clip((path_seen @ view).min(), -1, 1)))
+        return _about_the_pole(path, ax, line, rims)
+    view = view_of(np.concatenate([line, path.poles.directions]))
+    off = _farthest(path.poles, line, rims, view)
     radius = 1.1 * np.sin(off) if off < NARROW else 1.0
     return globe(ax, view=view, radius=radius)
+
+
+def _about_the_pole(path: Any, ax: Any, line, rims) -> Globe:
+    view = np.array([0.0, 0.0, -1.0 if path.hemisphere == "south" else 1.0])
+    tens = 10 * np.ceil(np.degrees(_farthest(path.poles, line, rims, view)) / 10)
+    radius = float(np.sin(np.radians(tens))) if tens < 70 else 1.0
+    step = 10 if tens < 35 else 30
+    options: dict[str, Any] = {"graticule": step, "equal_area": True}
+    drawn = globe(ax, view=view, radius=radius, **options)
+    lons = np.arange(0, 360, 90)
+    style = {"fontsize": 6, "color": GREY, "ha": "center", "va": "center"}
+    rim = 1.08 * drawn.spread(np.array([[radius, 0.0]]))[0, 0]
+    for lon, place in zip(lons, drawn.flatten(directions(0 * lons, lons))[0]):
+        ax.text(*(rim * place), f"{lon}°", **style, clip_on=False)
+    return drawn
+
+
+def _farthest(poles: Any, line, rims, view: np.ndarray) -> float:
+    """From `view`, in radians, of all that is drawn."""
+    seen = line if rims is None else unit(rims.reshape(-1, 3))
+    off = np.arccos(np.clip(poles.directions @ view, -1, 1))
+    off += 0.0 if poles.a95 is None else np.radians(poles.a95)
+    return float(max(off.max(), np.arccos(np.clip((seen @ view).min(), -1, 1))))
 
 
 def _draw_poles(drawn: Globe, poles: Any, colour: Any) -> None:

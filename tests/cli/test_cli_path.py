@@ -176,6 +176,21 @@ def test_pictures(made, tmp_path):
         draw(python, "flat", 0.95)
 
 
+def test_at_a_wavelength(made):
+    _, _, _, python, p = made
+    lat = np.degrees(np.arcsin(p[:, 2]))
+    lon = np.degrees(np.arctan2(p[:, 1], p[:, 0]))
+    poles = mr.apps.Poles(python.poles.age, lat, lon, python.poles.a95)
+    found = mr.apps.path(poles, age_step=20.0, wavelength=40.0, hemisphere="north")
+    assert found.posterior.summary().wavelength == pytest.approx(40.0)
+    assert found.choice is None and found.hemisphere == "north"
+    np.testing.assert_array_equal(found.ages, [0, 20, 40, 60, 80, 100])
+    # none is flipped here, so the path runs half way between both polarities
+    mixed = mr.apps.path(poles, wavelength=40.0, flip="none")
+    assert not mixed.flipped.any()
+    assert mixed.posterior.summary().sigma > 3 * found.posterior.summary().sigma
+
+
 def test_equal_area():
     globe = mr.plot.globe(view=(0, 0, 1), graticule=0, equal_area=True)
     for colatitude in (5.0, 60.0, 90.0):
