@@ -78,7 +78,7 @@ def _about_the_pole(path: Any, ax: Any, line, rims) -> Globe:
     drawn = globe(ax, view=view, radius=radius, **options)
     lons = np.arange(0, 360, 90)
     style = {"fontsize": 6, "color": GREY, "ha": "center", "va": "center"}
-    rim = 1.08 * drawn.spread(np.array([[radius, 0.0]]))[0, 0]
+    rim = 1.11 * drawn.spread(np.array([[radius, 0.0]]))[0, 0]
     for lon, place in zip(lons, drawn.flatten(directions(0 * lons, lons))[0]):
         ax.text(*(rim * place), f"{lon}°", **style, clip_on=False)
     return drawn
