@@ -24,7 +24,7 @@ from .._programs.program import program
 from .._sources.checks import is_concrete
 from .fitted import Limits, fitted
 from .linear import AbstractSolvers, direct_solvers
-from .minima import compared
+from .minima import compared, lowest
 from .minimise import Method, minimise, newton_minimiser, stage_of
 from .minimum import Minimum, is_successful, unsolved
 from .model import RegressionMap, regression_map
@@ -186,8 +186,8 @@ def _one_by_one(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     if warm is not None:
         lanes.append((warm, goal))
     found = [follow(*lane) for lane in lanes]
-    objectives = [float(minimum.objective) for minimum in found]
-    best = found[int(np.argmin(np.nan_to_num(objectives, nan=np.inf)))]
+    height = lambda minimum: float(minimum.objective)
+    best = lowest(found, height, lambda minimum: is_successful(minimum.result))
     stats = jax.device_put({**best.stats, **compared(problem, found)})
     return best.w, lam, best.energies, best.result, stats
 
