@@ -10,6 +10,7 @@ from .._objective.robust import AbstractLoss
 from .._selection.chosen_fit import chosen_fit
 from .._selection.criteria import CriterionName
 from .._selection.noise import Scatter
+from .._selection.orders import Order
 from .._solver.posterior import Posterior
 from .._sources.sources import Interval
 from ..datasets._tables import (
@@ -157,7 +158,7 @@ def path(
     criterion: CriterionName = "reml",
     scatter: Scatter = "additive",
     loss: AbstractLoss | str = "squared",
-    order: int = 2,
+    order: Order = 2,
     progress: bool = True,
 ) -> PolePath:
     """The path of the palaeomagnetic poles of one plate: `mr.fit` from an `Interval` of
