@@ -1,4 +1,4 @@
-"""The command line: `manireg demo`, `manireg fit` and `manireg register`."""
+"""The command line: `manireg demo`, `fit`, `path` and `register`."""
 
 import contextlib
 import os
@@ -12,6 +12,7 @@ import manireg as mr
 from .demo import demo
 from .errors import clean_errors
 from .fit import fit
+from .path import path
 from .register import register
 
 app = typer.Typer(
@@ -25,6 +26,7 @@ app = typer.Typer(
 
 app.command()(demo)
 app.command()(fit)
+app.command()(path)
 app.command()(register)
 
 
@@ -41,8 +43,8 @@ def setup(
 ) -> None:
     """Regression between Riemannian manifolds with the Eells energy.
 
-    Start with `manireg demo`, then `manireg fit --help` for tables and `manireg register
-    --help` for scanned surfaces.
+    Start with `manireg demo`, then `manireg fit --help` for tables, `manireg path --help`
+    for palaeomagnetic poles and `manireg register --help` for scanned surfaces.
     """
     jax.config.update("jax_enable_x64", True)
     # a device a core, to share the folds; too late where JAX has run in this process

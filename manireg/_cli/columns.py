@@ -89,8 +89,8 @@ def complete(table: TextTable, names: list[str], missing: Missing) -> TextTable:
     lines = [table.lines[i] for i in left_out]
     warnings.warn(
         f"{table.path}: {len(left_out)} of {len(table.rows)} rows have missing values and "
-        f"are left out: data row{'s' * (len(rows) > 1)} {_runs(rows)} (line"
-        f"{'s' * (len(lines) > 1)} {_runs(lines)}); first, {what}.",
+        f"are left out: data row{'s' * (len(rows) > 1)} {runs(rows)} (line"
+        f"{'s' * (len(lines) > 1)} {runs(lines)}); first, {what}.",
         stacklevel=2,
     )
     return table.take(kept)
@@ -101,12 +101,7 @@ def column(
 ) -> list[str]:
     """The numbers of a column as `float` reads them, all there and finite. `letters`:
     see `numerals`; by default the name of the column tells."""
-    entries = table.columns[name]
-    letters = hemispheres(name) if letters is None else letters
-    try:
-        texts = numerals(entries, table.marks, letters)
-    except BadEntry as bad:
-        raise ValueError(_bad_entry(table, name, option, bad)) from None
+    texts = _texts(table, name, option, letters)
     gaps = [i for i, t in enumerate(texts) if not t or not np.isfinite(float(t))]
     if gaps:
         raise ValueError(f"{_gaps(table, name, gaps)} Remove these rows.")
@@ -126,6 +121,21 @@ def numbers(
         for name, of in zip(names, letters, strict=True)
     ]
     return np.array(texts, dtype=object).astype(float).T
+
+
+def numbers_or_nan(table: TextTable, name: str, option: str) -> np.ndarray:
+    """A column (k,) with NaN where there is no entry. Infinity counts as none."""
+    texts = _texts(table, name, option, None)
+    values = np.array([float(text) if text else np.nan for text in texts])
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _texts(table: TextTable, name: str, option: str, letters: str | None) -> list[str]:
+    letters = hemispheres(name) if letters is None else letters
+    try:
+        return numerals(table.columns[name], table.marks, letters)
+    except BadEntry as bad:
+        raise ValueError(_bad_entry(table, name, option, bad)) from None
 
 
 def refuse(
@@ -174,10 +184,10 @@ def _folded(name: str) -> str:
     return " ".join(tidy(name).casefold().split())
 
 
-def _runs(numbers: list[int]) -> str:
+def runs(numbers: list[int]) -> str:
     """`3, 7 to 9`."""
     grouped = groupby(enumerate(numbers), lambda pair: pair[1] - pair[0])
-    runs = [[number for _, number in run] for _, run in grouped]
-    texts = [f"{r[0]} to {r[-1]}" if len(r) > 1 else str(r[0]) for r in runs]
-    more = sum(map(len, runs[MOST_SHOWN:]))
+    found = [[number for _, number in run] for _, run in grouped]
+    texts = [f"{r[0]} to {r[-1]}" if len(r) > 1 else str(r[0]) for r in found]
+    more = sum(map(len, found[MOST_SHOWN:]))
     return ", ".join(texts[:MOST_SHOWN]) + (f" and {more} more" if more else "")

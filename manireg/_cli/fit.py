@@ -34,6 +34,7 @@ from .noise import (
     NoiseColumns,
     Scattering,
     Sigma,
+    Wavelength,
     XMax,
     XMin,
     XSigma,
@@ -95,6 +96,7 @@ def fit(
         str,
         typer.Option(help="Smoothness lambda: a number, or `auto`: see --criterion."),
     ] = "auto",
+    wavelength: Wavelength = None,
     criterion: Criterion = "error",
     order: Annotated[
         str,
@@ -205,6 +207,7 @@ def fit(
         given |= noise.of_outputs(table, there)
         value = None if lam == "auto" else number_of(lam)
         choice: dict[str, Any] = {"criterion": criterion, **of_inputs}
+        choice |= {"wavelength": wavelength}
         if folds is not None:
             choice |= {"folds": min(folds, len(x)), "key": jax.random.key(seed)}
         problem = source, there.manifold, x, there.points
@@ -212,7 +215,7 @@ def fit(
         p = asked_order if cv is None else cv.order
         predicted = np.array(model(queries))
         # a lambda that is given is known
-        posterior = model.posterior("auto" if value is None else "known")
+        posterior = model.posterior("known" if cv is None else "auto")
         sure = uncertainty(posterior, target, there, queries, level)
         seconds = time.perf_counter() - start
 

@@ -64,6 +64,13 @@ Criterion = Annotated[
         "cross-validation) or `reml` (restricted likelihood)."
     ),
 ]
+Wavelength = Annotated[
+    float | None,
+    typer.Option(
+        help="Instead of --lam: a length in the unit of the input, of which waves keep "
+        "half of their height, longer ones more (of dates: seconds)."
+    ),
+]
 Level = Annotated[
     float,
     typer.Option(help="Confidence of regions, in predictions and picture, percent."),

@@ -60,12 +60,13 @@ def report(
 
 
 def noise_rows(posterior: Any, degrees: float | None) -> dict[str, str]:
-    """How data scatter about the map, and which of them were let go: the part of the
-    summary of a `Posterior` that is not told elsewhere."""
-    rows = posterior.summary().rows(degrees)
-    return {
+    """What lambda is in the unit of the inputs, how data scatter about the map, and which
+    of them were let go: the part of the summary of a `Posterior` that is not told
+    elsewhere."""
+    summary = posterior.summary()
+    return {"wavelength": f"{summary.wavelength:.3g}"} | {
         name: value
-        for name, value in rows.items()
+        for name, value in summary.rows(degrees).items()
         if name in SCATTER or name.startswith("note")
     }
 

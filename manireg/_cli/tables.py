@@ -12,7 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from .. import manifolds
 from .._input.shown import shown
-from ..datasets._tables import directions, unit
+from ..datasets._tables import (
+    degrees_from,
+    directions,
+    first_longitude,
+    latitude_longitude,
+    unit,
+)
 from ..datasets._text_tables import TextTable
 from .columns import find, numbers
 
@@ -76,11 +82,10 @@ def _lat_lon(values: np.ndarray, columns: tuple[str, ...], table: TextTable) -> 
             f"{table.where(int(beyond[0]))})."
         )
     points = directions(*values.T)
-    start = _first_longitude(values[:, 1])
+    start = first_longitude(values[:, 1])
 
     def decode(p: np.ndarray) -> np.ndarray:
-        latitude = np.degrees(np.arctan2(p[:, 2], np.hypot(p[:, 0], p[:, 1])))
-        return np.stack([latitude, _degrees(p[:, 0], p[:, 1], start)], axis=-1)
+        return np.stack(latitude_longitude(p, start), axis=-1)
 
     return Target(manifolds.Sphere(2), points, columns, decode, np.degrees(1.0))
 
@@ -88,11 +93,11 @@ def _lat_lon(values: np.ndarray, columns: tuple[str, ...], table: TextTable) -> 
 def _circle(values: np.ndarray, columns: tuple[str, ...], table: TextTable) -> Target:
     if len(columns) != 1:
         raise ValueError("--target circle takes one column, an angle in degrees.")
-    angle, start = np.radians(values[:, 0]), _first_longitude(values[:, 0])
+    angle, start = np.radians(values[:, 0]), first_longitude(values[:, 0])
     points = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
     def decode(p: np.ndarray) -> np.ndarray:
-        return _degrees(p[:, 0], p[:, 1], start)[:, None]
+        return degrees_from(start, p[:, 0], p[:, 1])[:, None]
 
     return Target(manifolds.Sphere(1), points, columns, decode, np.degrees(1.0))
 
@@ -145,15 +150,6 @@ def _close(distance: np.ndarray, what: str, table: TextTable) -> None:
             f"{len(distance)} rows are off, first {table.where(int(bad[0]))} by "
             f"{distance[bad[0]]:.2g}."
         )
-
-
-def _first_longitude(degrees: np.ndarray) -> float:
-    return 0.0 if degrees.min() >= 0 else -180.0
-
-
-def _degrees(x: np.ndarray, y: np.ndarray, start: float) -> np.ndarray:
-    """Angle in [start, start + 360)."""
-    return (np.degrees(np.arctan2(y, x)) - start) % 360 + start
 
 
 def write_table(path: Path, columns: list[str], texts: list[list[str]], values) -> None:

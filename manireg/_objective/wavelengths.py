@@ -4,6 +4,10 @@ whatever the target's scale. On the host for arrays of NumPy, else in JAX."""
 
 import math
 
+from jaxtyping import Array, Float
+
+from .._input.numbers import Numbers
+from .._sources.checks import check_lam, check_positive
 from .problem import Problem
 
 ANCHOR = 1.5  # wavelength, in spacings of the data, under which maps follow them
@@ -23,6 +27,32 @@ def lambda_of_wavelength(problem: Problem, wavelength):
 def wavelength_of_lambda(problem: Problem, lam):
     power = 1 / (2 * problem.energy.order)
     return 2 * math.pi * (lam * problem.data_volume) ** power
+
+
+def given_lambda(
+    problem: Problem, lam: Numbers | None, wavelength: Numbers | None
+) -> Float[Array, ""]:
+    """The one that was given, by either name. **Raises** ValueError for none and both."""
+    check_one(lam, wavelength)
+    if wavelength is None:
+        return check_lam(lam)
+    return lambda_of_wavelength(problem, check_wavelength(wavelength))
+
+
+def check_one(lam: Numbers | None, wavelength: Numbers | None) -> None:
+    if lam is None and wavelength is None:
+        raise ValueError("lam: missing; give it, or `wavelength`, which says the same.")
+    if lam is not None and wavelength is not None:
+        raise ValueError("lam, wavelength: both say how smooth the map is; give one.")
+
+
+def check_wavelength(wavelength: Numbers) -> Float[Array, ""]:
+    return check_positive(
+        "wavelength",
+        wavelength,
+        "a wavelength must be positive and finite",
+        "It is a length in the unit of x: waves that are shorter are smoothed away.",
+    )
 
 
 def anchor(problem: Problem):

@@ -8,6 +8,7 @@ from .._input.numbers import Numbers
 from .._objective.make_problem import make_problem
 from .._objective.problem import Problem
 from .._objective.robust import Squared, check_loss
+from .._objective.wavelengths import check_one, given_lambda
 from .._solver.geodesic_loss import solve_geodesic
 from .._solver.model import RegressionMap
 from .._solver.solve import checked, solve
@@ -44,21 +45,26 @@ def chosen_fit(
     distance: Literal["chord", "geodesic"] = "chord",
     criterion: CriterionName = "error",
     folds: int | None = None,
+    wavelength: Numbers | None = None,
     **options,
 ) -> tuple[RegressionMap, CrossValidation | None]:
     """What `fit` does, with the last choice of lambda before errors in x were looked at;
     None where it was given. `data`: arguments of `make_problem`, and the order or
     orders."""
     data = {"order": 2, "loss": "squared"} | data
-    _check(lam, data["order"], distance, folds, data["loss"], criterion)
+    known = lam is not None or wavelength is not None
+    if known:
+        check_one(lam, wavelength)
+    _check(known, data["order"], distance, folds, data["loss"], criterion)
     check_scatter(scatter)
     inexact = _input_errors(source, x, x_sigma, x_min, x_max, x_error)
     problem, choices = (source, target, x, y), []
     progress = options.get("progress", True)
-    if lam is not None:
+    if known:
         if inexact is not None:  # one fit has none to show, those of latent inputs have
             options.pop("progress", None)
-        model, again = _given(*problem, lam, distance, data, options)
+        size = lam, wavelength
+        model, again = _given(*problem, size, distance, data, options)
     elif folds is not None:
         model, again = _by_folds(*problem, folds, data, options, choices)
     else:
@@ -67,20 +73,21 @@ def chosen_fit(
     if inexact is not None and x_error == "effective":
         model = with_effective_variance(model, inexact, again, scatter)
     elif inexact is not None:
-        model = with_latent_inputs(model, inexact, lam is None, scatter, progress)
+        model = with_latent_inputs(model, inexact, not known, scatter, progress)
     if not choices:
         return model, None
     return model, dataclasses.replace(choices[-1], others=choices[0].others)
 
 
 def _given(
-    source, target, x, y, lam, distance, data, options
+    source, target, x, y, size, distance, data, options
 ) -> tuple[RegressionMap, Again]:
-    """The fit at a lambda, and how to repeat it near a map."""
+    """The fit at a lambda, and how to repeat it near a map. `size`: lambda or a
+    wavelength."""
     minimise = solve_geodesic if distance == "geodesic" else solve
-    model = minimise(
-        blunted(make_problem(source, target, x, y, **data)), lam, **options
-    )
+    first = blunted(make_problem(source, target, x, y, **data))
+    lam = given_lambda(first, *size)
+    model = minimise(first, lam, **options)
     options = {**options, "starts": ()}
 
     def again(problem, model):
@@ -149,16 +156,14 @@ def _input_errors(source, x, x_sigma, x_min, x_max, x_error: str):
 
 
 def _check(
-    lam, order: Order, distance: str, folds: int | None, loss, criterion: str
+    known: bool, order: Order, distance: str, folds: int | None, loss, criterion: str
 ) -> None:
-    if distance not in ("chord", "geodesic") or (
-        distance == "geodesic" and lam is None
-    ):
+    if distance not in ("chord", "geodesic") or (distance == "geodesic" and not known):
         raise ValueError(
             "distance: expected 'chord' or, with a given `lam`, 'geodesic'; found "
             f"{distance!r}."
         )
-    if folds is not None and lam is not None:
+    if folds is not None and known:
         raise ValueError("folds: there is nothing to choose where `lam` is given.")
     if folds is not None and not isinstance(check_loss(loss), Squared):
         raise ValueError(
@@ -170,7 +175,7 @@ def _check(
             f"folds: they have an error, and {criterion!r} is of one fit of all data; "
             "leave out one of them."
         )
-    if lam is not None and not isinstance(order, int):
+    if known and not isinstance(order, int):
         raise ValueError(
             f"order: give one where `lam` is given, found {order!r}; lambda has a unit of "
             "its own for each."

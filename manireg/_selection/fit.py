@@ -20,6 +20,7 @@ def fit(
     y: Numbers,
     lam: Numbers | None = None,
     *,
+    wavelength: Numbers | None = None,
     weights: Numbers | None = None,
     sigma: Numbers | None = None,
     precision: Numbers | None = None,
@@ -55,6 +56,10 @@ def fit(
     `"auto"`, to choose from; `lam` lambda, or None to choose it; other options go to
     `solve` (with `lam`), `leave_one_out` or `cross_validate` (without).
 
+    - `wavelength`: lambda by a length in the unit of x, such as 40 of ages in millions of
+      years: waves of that length keep half of their height, longer ones more. As in
+      `solve`, $\lambda = (\ell / 2\pi)^{2p} / V$. Of a chosen lambda it is
+      `model.summary().wavelength`.
     - `scatter`: what is done where data scatter more than `sigma` or `precision` say.
       `"additive"` (default): $\sigma_i^2 + \tau^2$, with $\tau$ by restricted likelihood
       (0 where they do not); `"factor"`: all variances times $\varphi$, the reduced
@@ -62,7 +67,9 @@ def fit(
       under which of them left-out data are likelier.
     - `x_sigma`, or `x_min` and `x_max`: `(k,)` or one number each, of inputs on an
       `Interval` that are known within errors: the standard deviation of a normal
-      distribution around `x`, or the ends of a uniform one. `x_error` says how: `"latent"`
+      distribution around `x`, or the ends of a uniform one; or all three, `(k,)`, with
+      NaN in `x_sigma` where a range is meant and in both ends where a deviation (0 of an
+      exact input). `x_error` says how: `"latent"`
       (default): true inputs are unknowns with that prior, within the interval, and the
       map the one of the largest marginal likelihood; lambda, if not given, by restricted
       likelihood (see `manireg._selection.latent_inputs`). `"effective"`: errors are added
@@ -112,5 +119,6 @@ def fit(
     }
     choice = {"distance": distance, "criterion": criterion, "folds": folds}
     options |= {"x_sigma": x_sigma, "x_min": x_min, "x_max": x_max, "x_error": x_error}
+    choice |= {"wavelength": wavelength}
     found = chosen_fit(source, target, x, y, lam, data, scatter, **choice, **options)
     return found[0]

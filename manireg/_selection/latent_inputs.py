@@ -109,10 +109,12 @@ def _nodes(
     """Places, owners and prior shares: so close that the map moves less than the noise
     from one to the next. Inputs outside of the source cannot be."""
     x = np.asarray(problem.x)[:, 0]
-    if errors.lower is None or errors.upper is None:
-        lower, upper = x - REACH * errors.deviation, x + REACH * errors.deviation
-    else:
-        lower, upper = errors.lower, errors.upper
+    lower, upper = x - REACH * errors.deviation, x + REACH * errors.deviation
+    normal = np.ones(len(x), bool)
+    if errors.lower is not None and errors.upper is not None:
+        normal = np.isnan(errors.lower)
+        lower = np.where(normal, lower, errors.lower)
+        upper = np.where(normal, upper, errors.upper)
     low, high = (float(v[0]) for v in problem.source.bounds)  # type: ignore[attr-defined]
     lower, upper = np.maximum(lower, low), np.minimum(upper, high)
     speed = np.linalg.norm(np.asarray(model.velocity(x)).reshape(len(x), -1), axis=1)
@@ -125,7 +127,7 @@ def _nodes(
         at = lower[i] + (upper[i] - lower[i]) * (np.arange(n) + 0.5) / n
         at = at if n > 1 else x[i : i + 1]
         share = np.ones(n)
-        if errors.lower is None and n > 1:
+        if normal[i] and n > 1:
             share = np.exp(-0.5 * ((at - x[i]) / errors.deviation[i]) ** 2)
         places.append(at)
         owner.append(np.full(n, i))

@@ -10,6 +10,7 @@ from .._objective.problem import Problem
 from .._programs.program import program
 from .._solver.fitted import Limits, fitted, scored_data
 from .._solver.linear import AbstractSolvers, direct_solvers
+from .._solver.minima import lowest
 from .._solver.minimum import is_successful
 from .._solver.model import RegressionMap, regression_map
 from .._solver.spread import Spread, spread_of
@@ -18,7 +19,6 @@ from .criteria import AbstractCriterion
 from .scores import AbstractScore, Fit
 
 RTOL = 1e-4  # predicted relative decrease of the last Newton step
-EQUAL = 1e-9  # relative difference of objectives that is not worth a look
 STEPS_TO_THE_END = 256
 TO_THE_END = Limits(1e-12, STEPS_TO_THE_END, certify=True)  # of the one that is chosen
 
@@ -96,9 +96,7 @@ class OneFit(AbstractScore):
         one that converged."""
         places = [fit.place for fit in fits]
         models = [self._fit(lam, w, TO_THE_END, scored=False)[0] for w in places]
-        lowest = min(map(_total, models)) * (1 + EQUAL)
-        equals = [model for model in models if _total(model) <= lowest] or models
-        return min(equals, key=lambda model: not is_successful(model.result))
+        return lowest(models, _total, lambda model: is_successful(model.result))
 
     def _fit(self, lam, place, limits: Limits, scored: bool):
         found, seen = fitted(

@@ -1,7 +1,7 @@
 """Minima that several starts end in: how many, and how close."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,26 @@ from .minimum import Minimum, is_successful
 
 DISTINCT = 1e-6  # relative difference of objectives that one minimum does not have
 ON_PATCHES = 1e-2  # likewise on point clouds, where Newton stops earlier
+EQUAL = 1e-9  # relative difference that is not worth a look
 ROUNDING = 1e-14  # of the mean square of the data: objectives below are all the same
 CLOSE = 1e-2  # relative difference that does not decide between two maps
 
 
 class SeveralMinimaWarning(UserWarning):
     """Two maps, clearly different, minimise the objective almost equally well."""
+
+
+def lowest(
+    fits: Sequence[Any],
+    objective: Callable[[Any], float],
+    converged: Callable[[Any], bool],
+) -> Any:
+    """Of equals one that converged: of two in one minimum rounding tells which is lower,
+    and may keep one of them from being certified."""
+    heights = np.nan_to_num([objective(fit) for fit in fits], nan=np.inf)
+    least = heights.min() * (1 + EQUAL)
+    equals = [fit for fit, height in zip(fits, heights, strict=True) if height <= least]
+    return min(equals, key=lambda fit: not converged(fit))
 
 
 def compared(problem: Problem, found: Sequence[Minimum]) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from ..manifolds._defaults.frames import tangent_frames
 from .at_minimum import AtMinimum, at_minimum
 from .derivatives import check_curve
 from .diagnostics import diagnostics
+from .equivalent_kernel import EquivalentKernel, equivalent_kernel
 from .estimates import Estimate, MotionEstimate
 from .information import ModelInformation
 from .jet_covariances import JetsAt, jets_at, pushed
@@ -198,6 +199,31 @@ class Posterior(AbstractSaved):
         region = Region(globe, jax.device_put(poles), reduced, frames, radius, level)
         parts = speed, deviation[:, 0], azimuth, deviation[:, 1]
         return MotionEstimate(*parts, region)
+
+    def equivalent_kernel(self, x: Numbers) -> EquivalentKernel:
+        r"""What the map at `x` rests on, for curves: the effective number of data,
+        $1 / h(x)$ with $h(x) = \frac{2}{k} \frac{1}{n} \mathrm{tr}\, A H^{-1} A^\top$,
+        A from the coefficients to the value: the leverage of a datum of mean precision at
+        x, so that a plain mean of N data has N; and the width of the window, that of the
+        running mean that would weigh its middle as much,
+        $W = c\, (c \lambda k h)^{1 / (2p - 1)}$, $c = 2p \sin(\pi / 2p)$. Of data evenly
+        spread it is 0.45 of the wavelength of lambda (p = 2). Silverman (1984, Ann.
+        Statist. 12, 898) has the kernel.
+
+            kernel = model.posterior().equivalent_kernel(ages)
+            kernel.number, kernel.width
+
+        **Raises** ValueError as calling the map does, and for sources of dimension 2 or
+        more."""
+        check_curve(self.model.source, "equivalent_kernel")
+        _, jets, frames = self._values(x)
+        problem = self.model.problem
+        information = ModelInformation.of(self.seen)
+        if problem.owner is not None:
+            information = self.mixture.parts[0].information
+        inverse = information.covariances(jets.rows, jets.near)
+        inverse = pushed(in_frame, self.model.target, jets, inverse, frames)[1]
+        return equivalent_kernel(problem, float(self.model.lam), inverse)
 
     def _values(self, x: Numbers, order: int = 0):
         """The map at `x`, its jets there, and frames of the tangent spaces."""

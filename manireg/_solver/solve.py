@@ -19,11 +19,12 @@ from .._objective.objective import objective
 from .._objective.problem import Problem
 from .._objective.resolution import warn_where_coarse
 from .._objective.sites import Stage
+from .._objective.wavelengths import given_lambda
 from .._programs.program import program
-from .._sources.checks import check_lam, is_concrete
+from .._sources.checks import is_concrete
 from .fitted import Limits, fitted
 from .linear import AbstractSolvers, direct_solvers
-from .minima import compared
+from .minima import compared, lowest
 from .minimise import Method, minimise, newton_minimiser, stage_of
 from .minimum import Minimum, is_successful, unsolved
 from .model import RegressionMap, regression_map
@@ -40,8 +41,9 @@ CURE = (
 
 def solve(
     problem: Problem,
-    lam: Numbers,
+    lam: Numbers | None = None,
     *,
+    wavelength: Numbers | None = None,
     method: Method | None = None,
     starts: Sequence[float] = STARTS,
     warm: Float[Array, "KC t"] | None = None,
@@ -61,6 +63,10 @@ def solve(
     - `problem`: from `make_problem`.
     - `lam`: lambda > 0, one number, exactly as in the formula; it has the unit of
       length^{2p-m} of the source, p the order of the energy.
+    - `wavelength`: in its place, a length in the unit of x:
+      $\lambda = (\ell / 2\pi)^{2p} / V$, V the volume that the data fill (of data evenly
+      spread over an interval its length). Waves of that length are damped by a half,
+      $1 / (1 + (\ell / L)^{2p})$ of those of length L is left.
     - `method`: `"projected"` (the default, but on `Ambient` sources) minimises the Eells
       energy of $\pi \circ \Psi$, with a weak pull of Psi towards N that fixes the gauge;
       the result lies on N and no continuation is needed. `"penalty"` is the paper's:
@@ -101,7 +107,7 @@ def solve(
     place(1e3), jax.jacfwd(place)(1e3)
     ```
     """
-    lam = check_lam(lam)
+    lam = given_lambda(problem, lam, wavelength)
     _check_options(problem, method, starts, warm, max_steps)
     solvers = direct_solvers(problem, linear_algebra)
     options = method or "projected", solvers, rtol, max_steps
@@ -195,8 +201,8 @@ def _one_by_one(problem, lam, starts, warm, method, solvers, rtol, max_steps):
     if warm is not None:
         lanes.append((warm, goal))
     found = [follow(*lane) for lane in lanes]
-    objectives = [float(minimum.objective) for minimum in found]
-    best = found[int(np.argmin(np.nan_to_num(objectives, nan=np.inf)))]
+    height = lambda minimum: float(minimum.objective)
+    best = lowest(found, height, lambda minimum: is_successful(minimum.result))
     stats = jax.device_put({**best.stats, **compared(problem, found)})
     return best.w, lam, best.energies, best.result, stats
 

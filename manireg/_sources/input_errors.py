@@ -9,6 +9,12 @@ from .._input.numbers import Numbers, as_numbers
 from .._input.shown import shown
 from .._source import AbstractSource
 
+NO_DISTRIBUTION = (
+    "x_sigma, x_min, x_max: give standard deviations, or both ends of ranges, or of each "
+    "datum one of them and NaN for the other; a single x_min or x_max, or both kinds, say "
+    "no distribution."
+)
+
 
 class InputErrors(NamedTuple):
     """Of each datum what its true input may be: normal around the one given, or uniform
@@ -17,7 +23,7 @@ class InputErrors(NamedTuple):
     deviation: Float[np.ndarray, " k"]
     """Standard deviation, of either."""
     lower: Float[np.ndarray, " k"] | None
-    """The ends, where uniform."""
+    """The ends, where uniform; NaN of data that are normal beside such."""
     upper: Float[np.ndarray, " k"] | None
 
 
@@ -32,29 +38,41 @@ def check_input_errors(
     given = [v is not None for v in (x_sigma, x_min, x_max)]
     if not any(given):
         return None
-    if given not in ([True, False, False], [False, True, True]):
-        raise ValueError(
-            "x_sigma, x_min, x_max: give standard deviations, or both ends of ranges; a "
-            "single x_min or x_max, or both kinds, say no distribution."
-        )
+    if given[1] != given[2]:
+        raise ValueError(NO_DISTRIBUTION)
     if not (source.linear and source.dim == 1):
         raise ValueError(
             "x_sigma, x_min, x_max: only for inputs that are numbers on an `Interval`; "
             f"found {type(source).__name__}."
         )
-    k = len(x)
+    k, both = len(x), all(given)
+    deviation = lower = upper = None
     if x_sigma is not None:
-        deviation = _numbers("x_sigma", x_sigma, k)
+        deviation = _numbers("x_sigma", x_sigma, k, both)
         _refuse("x_sigma", deviation, deviation < 0, "must not be negative")
+    if x_min is not None:
+        lower = _numbers("x_min", x_min, k, both)
+        upper = _numbers("x_max", x_max, k, both)
+        _refuse("x_min", lower, lower > upper, "must not be above x_max")
+        outside = (x[:, 0] < lower) | (upper < x[:, 0])
+        _refuse("x", x[:, 0], outside, "must lie between x_min and x_max")
+    if lower is None or upper is None:
+        assert deviation is not None
         return InputErrors(deviation, None, None)
-    lower, upper = _numbers("x_min", x_min, k), _numbers("x_max", x_max, k)
-    _refuse("x_min", lower, lower > upper, "must not be above x_max")
-    inside = (lower <= x[:, 0]) & (x[:, 0] <= upper)
-    _refuse("x", x[:, 0], ~inside, "must lie between x_min and x_max")
-    return InputErrors((upper - lower) / np.sqrt(12), lower, upper)
+    uniform = (upper - lower) / np.sqrt(12)
+    if deviation is None:
+        return InputErrors(uniform, lower, upper)
+    missing = [np.isnan(end) for end in (lower, upper)]
+    unclear = (missing[0] != missing[1]) | (missing[0] == np.isnan(deviation))
+    if unclear.any():
+        i = int(np.argmax(unclear))
+        raise ValueError(f"{NO_DISTRIBUTION} First at index {i}.")
+    return InputErrors(np.where(missing[0], deviation, uniform), lower, upper)
 
 
-def _numbers(name: str, values: Numbers | None, k: int) -> Float[np.ndarray, " k"]:
+def _numbers(
+    name: str, values: Numbers | None, k: int, gaps: bool
+) -> Float[np.ndarray, " k"]:
     numbers = as_numbers(name, values)
     if numbers.shape not in ((), (k,)):
         raise ValueError(
@@ -62,7 +80,8 @@ def _numbers(name: str, values: Numbers | None, k: int) -> Float[np.ndarray, " k
             f"{numbers.shape}."
         )
     numbers = np.broadcast_to(numbers, (k,)).astype(float)
-    _refuse(name, numbers, ~np.isfinite(numbers), "must be finite")
+    bad = np.isinf(numbers) if gaps else ~np.isfinite(numbers)
+    _refuse(name, numbers, bad, "must be finite")
     return numbers
 
 

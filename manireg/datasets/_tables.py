@@ -81,6 +81,24 @@ def directions(latitude: ArrayLike, longitude: ArrayLike) -> np.ndarray:
     return np.stack([x, y, np.sin(lat)], axis=-1)
 
 
+def latitude_longitude(
+    vectors: ArrayLike, start: float = -180.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Degrees of vectors (..., 3), longitudes in [start, start + 360)."""
+    x, y, z = np.moveaxis(np.asarray(vectors), -1, 0)
+    return np.degrees(np.arctan2(z, np.hypot(x, y))), degrees_from(start, x, y)
+
+
+def degrees_from(start: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The angles of points of the plane, in [start, start + 360)."""
+    return (np.degrees(np.arctan2(y, x)) - start) % 360 + start
+
+
+def first_longitude(degrees: np.ndarray) -> float:
+    """Where the longitudes of a table begin."""
+    return 0.0 if np.min(degrees) >= 0 else -180.0
+
+
 def unit(vectors: Sequence[Any] | ArrayLike) -> np.ndarray:
     """`vectors` (..., t) scaled to length 1."""
     vectors = np.asarray(vectors, np.float64)

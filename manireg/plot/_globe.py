@@ -20,10 +20,12 @@ DOT = 9.0  # area of a datum, in square points
 
 class Globe(NamedTuple):
     """The unit sphere seen from far away: `axes` to draw on, and `turn`, whose rows are
-    the directions right, up and towards the eye. What lies on the far side is pale."""
+    the directions right, up and towards the eye. What lies on the far side is pale.
+    `equal_area`: each hemisphere by Lambert's projection, the rim where it was."""
 
     axes: Axes
     turn: Float[np.ndarray, "3 3"]
+    equal_area: bool = False
 
     @property
     def figure(self) -> Figure:
@@ -33,7 +35,14 @@ class Globe(NamedTuple):
         """Positions (n, 2) on the paper, and which points (n,) are on the near side."""
         points = np.asarray(points)
         turned = points / np.linalg.norm(points, axis=-1, keepdims=True) @ self.turn.T
-        return turned[..., :2], turned[..., 2] >= 0
+        return self.spread(turned[..., :2]), turned[..., 2] >= 0
+
+    def spread(self, place: np.ndarray) -> np.ndarray:
+        """Orthographic positions (n, 2) as the projection has them."""
+        if not self.equal_area:
+            return place
+        squared = np.clip(np.sum(place**2, axis=-1, keepdims=True), 0.0, 1.0)
+        return place / np.sqrt(1 + np.sqrt(1 - squared))
 
     def points(
         self,
@@ -91,7 +100,8 @@ class Globe(NamedTuple):
             # opaque: they overlap
             options = {"facecolors": pale(colours[seen], share), "linewidths": 0}
             options |= {"zorder": order} | style
-            band = PolyCollection([pieces[i] for i in seen], **options)
+            shapes = [self.spread(pieces[i]) for i in seen]
+            band = PolyCollection(shapes, **options)
             self.axes.add_collection(band, autolim=False)
 
     def circles(
@@ -126,17 +136,22 @@ def globe(
     view: ArrayLike = (1.0, -1.0, 0.7),
     radius: float = 1.0,
     graticule: float | None = None,
+    equal_area: bool = False,
 ) -> Globe:
     """An empty globe, seen from the direction `view` (3,) with the z axis upwards, with
     meridians and parallels every `graticule` degrees (0 for none, by default what suits
-    the picture). `radius` < 1 shows only so much of the globe about its middle."""
+    the picture). `radius` < 1 shows only so much of the globe about its middle.
+    `equal_area`: a hemisphere by Lambert's azimuthal projection in place of what the eye
+    would see."""
     from matplotlib.patches import Circle
 
     ax = figure(3.0, 3.0).add_subplot() if ax is None else ax
     size = 1.02 if radius >= 1 else radius
+    if equal_area and radius < 1:
+        size = radius / np.sqrt(1 + np.sqrt(1 - radius**2))
     ax.set(xlim=(-size, size), ylim=(-size, size), aspect="equal", xticks=[], yticks=[])
     ax.spines[:].set(visible=radius < 1, color=GREY, lw=0.8)
-    drawn = Globe(ax, _turn(unit(view)))
+    drawn = Globe(ax, _turn(unit(view)), equal_area)
     rim = ax.add_patch(Circle((0, 0), 1, fc="none", ec=GREY, lw=0.8, zorder=4))
     i = np.linspace(-1, 1, 300)
     depth = np.sqrt(np.clip(1 - i[:, None] ** 2 - i**2, 0, 1))

@@ -13,6 +13,7 @@ import pytest
 from dense_splines import noisy_wave
 
 import manireg as mr
+from manireg._selection.latent_inputs import _nodes
 from manireg._solver.at_minimum import at_minimum
 from manireg._solver.jet_covariances import jets_at
 from manireg._sources.input_errors import check_input_errors
@@ -37,6 +38,33 @@ def test_check_input_errors():
     np.testing.assert_allclose(uniform.deviation, 0.3 / np.sqrt(12))
     np.testing.assert_array_equal(uniform.lower, X - 0.1)
     np.testing.assert_array_equal(uniform.upper, X + 0.2)
+
+
+def test_some_normal_and_some_uniform():
+    normal = np.arange(K) % 2 == 0
+    sigma = np.where(normal, 0.1, np.nan)
+    low, high = (np.where(normal, np.nan, X + d) for d in (-0.1, 0.2))
+    mixed = check_input_errors(SOURCE, X[:, None], sigma, low, high)
+    expected = np.where(normal, 0.1, 0.3 / np.sqrt(12))
+    np.testing.assert_allclose(mixed.deviation, expected)
+    np.testing.assert_array_equal(np.isnan(mixed.lower), normal)
+    # each has the nodes and shares that it has among its own kind
+    problem = mr.make_problem(SOURCE, LINE, X, Y[:, None], centres=32)
+    model = mr.solve(problem, 1e-5)
+    alike = (
+        check_input_errors(SOURCE, X[:, None], 0.1, None, None),
+        check_input_errors(SOURCE, X[:, None], None, X - 0.1, X + 0.2),
+    )
+    found = _nodes(problem, model, mixed, 0.1)
+    for own, kind in zip(alike, (normal, ~normal), strict=True):
+        places, owner, prior = _nodes(problem, model, own, 0.1)
+        here, there = kind[owner], kind[found[1]]
+        np.testing.assert_array_equal(found[0][there], places[here])
+        np.testing.assert_allclose(found[2][there], prior[here])
+    both = np.where(normal, 0.1, np.nan)
+    both[1] = 0.1
+    with pytest.raises(ValueError, match="say no distribution. First at index 1"):
+        check_input_errors(SOURCE, X[:, None], both, low, high)
 
 
 def changed(index, value):

@@ -16,6 +16,7 @@ from manireg._objective.energies import AmbientEnergy, IntrinsicEnergy
 from manireg._objective.hessian import exact, gauss_newton
 from manireg._objective.objective import objective
 from manireg._objective.sites import Stage
+from manireg._solver.minima import lowest
 
 LAM = 1e-4
 
@@ -129,6 +130,15 @@ def test_lowest_start_wins(problem, model):
     several = mr.solve(problem, LAM, starts=(1.0, 1e-2, 1e4), warm=model.coefficients)
     value = lambda m: m.energies.loss + LAM * m.energies.eells
     assert value(several) <= value(model) * (1 + 1e-9)
+
+
+def test_of_equal_minima_the_one_that_converged():
+    # rounding had the start that failed lower by 1e-11
+    fits = [(0.017933954995969, False), (0.017933954996156, True), (0.02, True)]
+    objective, converged = (lambda fit: fit[0]), (lambda fit: fit[1])
+    assert lowest(fits, objective, converged) is fits[1]
+    assert lowest([(1.0, False), (1.1, True)], objective, converged) == (1.0, False)
+    assert lowest([(np.nan, False), (2.0, True)], objective, converged) == (2.0, True)
 
 
 def test_lambdas_far_too_large_converge():
