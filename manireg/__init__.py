@@ -11,6 +11,7 @@ from . import (
     plot as plot,
 )
 from ._cache import cache_programs as cache_programs
+from ._citation import citation as citation
 from ._discretisation.domain import Domain as Domain
 from ._files import load as load
 from ._geodesics.geodesic import Geodesic as Geodesic, geodesic as geodesic

@@ -59,9 +59,12 @@ def load(path: str | Path, *own: Any) -> Any:
 
     **Example:**
 
-        jax.config.update("jax_enable_x64", True)
-        model = mr.load("path.npz")
-        model(100.0)
+    ```python
+    x = np.linspace(0, 1, 9)
+    mr.fit(mr.Interval(0, 1), mr.Euclidean(1), x, x[:, None], 1.0).save("line.npz")
+    line = mr.load("line.npz")
+    line(0.5)  # 0.5000
+    ```
     """
     check_x64()
     try:

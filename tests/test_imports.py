@@ -11,8 +11,8 @@ from pathlib import Path
 import manireg
 
 FLOORS: Sequence[str] = """
-_cache _input _programs _algebra datasets meshes _source manifolds _sources _geodesics
-_discretisation _objective _solver _selection _surfaces baselines plot apps
+_cache _citation _input _files _programs _algebra datasets meshes _source manifolds _sources
+_geodesics _discretisation _objective _solver _selection _surfaces baselines plot apps
 __init__ _cli __main__
 """.split()
 ROOT = Path(manireg.__path__[0])

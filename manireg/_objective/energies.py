@@ -125,6 +125,8 @@ class Tension(AbstractEnergy):
     r"""$|P H|^2 + \tau |P (D\Psi - A)|^2 / h^2$ in the neighbourhood of the source: what
     the first derivative costs, against A, that of the affine map of the data."""
 
+    references = ("schweikert1966interpolation", "franke1985thin")
+
     tau: Float[Array, ""] = eqx.field(converter=lambda v: as_scalar(v))
     derivative: Float[Array, "s t"]
     """A, of the least-squares affine map of the data."""

@@ -72,6 +72,8 @@ class Huber(AbstractLoss):
     Raises ValueError unless c is positive and finite. After Huber (1964), Ann. Math.
     Statist. 35, 73."""
 
+    references = ("huber1964robust",)
+
     c: Float[Array, ""] | None = eqx.field(
         default=None, converter=lambda v: _radius("Huber: c", v)
     )
@@ -106,6 +108,8 @@ class Tukey(AbstractLoss):
     Raises ValueError unless c is positive and finite. After Beaton, Tukey (1974),
     Technometrics 16, 147."""
 
+    references = ("beaton1974fitting",)
+
     c: Float[Array, ""] | None = eqx.field(
         default=None, converter=lambda v: _radius("Tukey: c", v)
     )
@@ -138,6 +142,8 @@ class StudentT(AbstractLoss):
 
     Raises ValueError unless nu is positive and finite. After Lange, Little, Taylor
     (1989), J. Am. Statist. Assoc. 84, 881."""
+
+    references = ("lange1989robust",)
 
     nu: Float[Array, ""] = eqx.field(
         default=4.0, converter=lambda v: _number("StudentT: nu", v)

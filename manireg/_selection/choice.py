@@ -24,6 +24,8 @@ WIDENINGS = 2  # times a default grid may be extended past an edge
 class CrossValidation(eqx.Module):
     """Scores of a grid of lambdas, the one chosen, and its map of all data."""
 
+    references = ("stone1974cross",)
+
     lam: Float[Array, ""]
     """The one chosen."""
     lams: Float[Array, " lams"]

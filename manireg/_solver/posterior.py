@@ -62,6 +62,8 @@ class Posterior(AbstractSaved):
     ```
     """
 
+    references = ("wahba1983bayesian", "nychka1988bayesian")
+
     model: Any
     seen: AtMinimum
     """The map from inside: H, leverages, how the data scatter."""

@@ -23,6 +23,8 @@ PLATES = (
 class PolarWander(NamedTuple):
     """Where the south pole stood, seen from one plate."""
 
+    references = ("torsvik2008global",)
+
     ages: Float[np.ndarray, " n"]
     """Million years before present."""
     directions: Float[np.ndarray, "n 3"]

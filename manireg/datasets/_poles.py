@@ -34,6 +34,8 @@ PLATES = {  # and how many poles they have
 class PalaeomagneticPoles(NamedTuple):
     """South poles, each of the rocks of one study, in the coordinates of South Africa."""
 
+    references = ("torsvik2012phanerozoic",)
+
     ages: Float[np.ndarray, " n"]
     """Million years before present, ascending."""
     directions: Float[np.ndarray, "n 3"]

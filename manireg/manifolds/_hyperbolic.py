@@ -26,11 +26,13 @@ class Hyperbolic(AbstractManifold):
     **Arguments:** `dim` the dimension n >= 1; `radius` (default 1), a float or a traced
     scalar.
 
-    **Example:**
+    **Example:** the distance log 3.
 
-        plane = mr.Hyperbolic(2)
-        p = plane.from_ball(np.array([[0.0, 0.0], [0.5, 0.0]]))
-        plane.squared_distance(p[0], p[1]) ** 0.5  # log 3
+    ```python
+    plane = mr.Hyperbolic(2)
+    p, q = plane.from_ball([[0.0, 0.0], [0.5, 0.0]])
+    plane.squared_distance(p, q) ** 0.5  # 1.09861
+    ```
     """
 
     dim: int = eqx.field(static=True)

@@ -72,7 +72,7 @@ def test_api_has_every_public_name():
         for page in api.glob("*.md")
         for name in re.findall(r"^::: manireg\.(\S+)$", page.read_text(), re.MULTILINE)
     }
-    modules = (mr.baselines, mr.datasets, mr.meshes, mr.plot, mr.manifolds)
+    modules = (mr.apps, mr.baselines, mr.datasets, mr.meshes, mr.plot, mr.manifolds)
     expected = public(mr)
     for module in modules:
         of_it = public(module) - (public(mr) if module is mr.manifolds else set())

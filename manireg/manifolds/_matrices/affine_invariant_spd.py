@@ -26,12 +26,16 @@ class AffineInvariantSPD(AbstractPositiveDefinite):
 
     **Arguments:** `n` >= 1, the size of the matrices.
 
-    **Example:**
+    **Example:** the squared distance 2 (log 4)^2.
 
-        tensors = mr.AffineInvariantSPD(2)
-        p = tensors.from_matrices(np.array([np.diag([1.0, 4.0]), np.diag([4.0, 1.0])]))
-        tensors.squared_distance(p[0], p[1])  # 2 (log 4)^2
+    ```python
+    tensors = mr.AffineInvariantSPD(2)
+    p, q = tensors.from_matrices(np.stack([np.diag([1.0, 4.0]), np.diag([4.0, 1.0])]))
+    tensors.squared_distance(p, q)  # 3.84362
+    ```
     """
+
+    references = ("pennec2006riemannian",)
 
     n: int = eqx.field(static=True)
 

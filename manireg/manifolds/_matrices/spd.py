@@ -131,6 +131,8 @@ class SymmetricPositiveDefinite(AbstractPositiveDefinite):
     ```
     """
 
+    references = ("arsigny2006log",)
+
     n: int = eqx.field(static=True)
 
     def second_fundamental_form(
