@@ -3,6 +3,7 @@
 from importlib.metadata import version as _version
 
 from . import (
+    apps as apps,
     baselines as baselines,
     datasets as datasets,
     manifolds as manifolds,

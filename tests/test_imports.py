@@ -12,7 +12,7 @@ import manireg
 
 FLOORS: Sequence[str] = """
 _cache _input _programs _algebra datasets meshes _source manifolds _sources _geodesics
-_discretisation _objective _solver _selection _surfaces baselines plot
+_discretisation _objective _solver _selection _surfaces baselines plot apps
 __init__ _cli __main__
 """.split()
 ROOT = Path(manireg.__path__[0])

@@ -1,4 +1,4 @@
-"""The command line: `manireg demo`, `manireg fit` and `manireg register`."""
+"""The command line: `manireg demo`, `fit`, `register` and `trajectory`."""
 
 import contextlib
 import os
@@ -13,6 +13,7 @@ from .demo import demo
 from .errors import clean_errors
 from .fit import fit
 from .register import register
+from .trajectory import trajectory
 
 app = typer.Typer(
     name="manireg",
@@ -26,6 +27,7 @@ app = typer.Typer(
 app.command()(demo)
 app.command()(fit)
 app.command()(register)
+app.command()(trajectory)
 
 
 def main() -> None:
@@ -41,8 +43,8 @@ def setup(
 ) -> None:
     """Regression between Riemannian manifolds with the Eells energy.
 
-    Start with `manireg demo`, then `manireg fit --help` for tables and `manireg register
-    --help` for scanned surfaces.
+    Start with `manireg demo`, then `manireg fit --help` for tables, `manireg register
+    --help` for scanned surfaces and `manireg trajectory --help` for poses over time.
     """
     jax.config.update("jax_enable_x64", True)
     # a device a core, to share the folds; too late where JAX has run in this process

@@ -1,4 +1,4 @@
-"""What a field asks for, in its words and in one call: thin, above the rest of the
-library. Knows no command line."""
+"""What a field asks for, in its words: each a few lines around `fit` and its posterior."""
 
+from ._pose_files import PoseTable as PoseTable, read_poses as read_poses
 from ._trajectory import Trajectory as Trajectory, trajectory as trajectory

@@ -4,7 +4,6 @@ import warnings
 from typing import Any, Literal, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import coo_array
@@ -12,8 +11,8 @@ from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.spatial.transform import Rotation
 
 from .._input.numbers import Numbers, as_numbers
-from .._objective.robust import AbstractLoss, Tukey
 from .._objective.resolution import ResolutionWarning
+from .._objective.robust import AbstractLoss, Tukey
 from .._selection.criteria import CriterionName, cut_errors
 from .._selection.fit import fit
 from .._solver.posterior import Posterior
@@ -271,7 +270,9 @@ def _part(target, t, y, sigma, order, centres, origin=0.0, **options) -> Part:
 def _resolved(source, target, t, y, centres, **options):
     """With centres enough for the data, where they are not given."""
     most = min(MOST, len(np.unique(t)))
-    asked = int(np.clip(most / DATA_A_CENTRE, LEAST, MOST)) if centres is None else centres
+    asked = (
+        int(np.clip(most / DATA_A_CENTRE, LEAST, MOST)) if centres is None else centres
+    )
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         model = fit(source, target, t, y, centres=asked, progress=False, **options)

@@ -1,0 +1,141 @@
+"""The picture of a trajectory: its path from above, residuals, and velocities."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .._solver.regions import quantile_radius
+from ..plot._figure import BLUE, COLOURS, GREY, ORANGE, STYLE, figure, matplotlib
+from ._trajectory import Motion, Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+else:
+    Axes = Figure = Any
+
+POINTS = 1500  # of the curves
+ELLIPSES = 300  # of the band
+AXES = "x", "y", "z"
+
+
+def trajectory_picture(
+    found: Trajectory,
+    positions: np.ndarray | None,
+    quaternions: np.ndarray | None,
+    level: float = 0.95,
+) -> Figure:
+    """Of `trajectory` and its data (quaternions w, x, y, z): from above with the region of
+    `level` of the path, residuals of the data (outliers in orange, those beyond the panel
+    on its edge), linear and angular velocity with bands of `level` each. Gaps that the
+    smoother does not bridge are grey."""
+    t = found.times
+    at = np.linspace(t.min(), t.max(), min(POINTS, max(4 * len(t), 200)))
+    motion, own = found.after(at), found.after(t)
+    with matplotlib().rc_context(STYLE):
+        both = found.position is not None and found.orientation is not None
+        picture = figure(7.4, 5.6 if both else 3.0)
+        if both:
+            above, *rows = _panels(picture)
+        else:
+            above, rows = None, list(picture.subplots(1, 2))
+        residuals = []
+        if found.position is not None and positions is not None:
+            if above is not None:
+                _from_above(above, motion, positions, found, level)
+            gap = positions - own.positions
+            residuals.append((gap, "position residual (m)", found.position.outliers))
+        if found.orientation is not None and quaternions is not None:
+            estimate = Rotation.from_quat(own.quaternions, scalar_first=True)
+            data = Rotation.from_quat(quaternions, scalar_first=True)
+            gap = np.degrees((estimate.inv() * data).as_rotvec())
+            label = "orientation residual (°)"
+            residuals.append((gap, label, found.orientation.outliers))
+        curves = [
+            (motion.velocities, motion.velocity_covariances, 1.0, "velocity (m/s)"),
+            (
+                motion.angular_velocities,
+                motion.angular_velocity_covariances,
+                np.degrees(1.0),
+                "angular velocity (°/s)",
+            ),
+        ]
+        curves = [curve for curve in curves if curve[0] is not None]
+        half = len(rows) // 2
+        for panel, (gap, label, lost) in zip(rows[:half], residuals):
+            _residuals(panel, t, gap, label, lost)
+        for panel, curve in zip(rows[half:], curves):
+            _curves(panel, at, *curve, level)
+        for panel in rows:
+            panel.set_xlabel("time (s)")
+            for gap in found.gaps:
+                if not gap.bridged:
+                    panel.axvspan(gap.start, gap.end, color=GREY, alpha=0.25, lw=0)
+        rows[half].legend(ncols=3, loc="upper right", handlelength=1.2)
+        return picture
+
+
+def _panels(picture) -> list[Axes]:
+    grid = picture.add_gridspec(3, 2, height_ratios=[1.5, 1, 1])
+    above = picture.add_subplot(grid[0, :])
+    places = (1, 0), (1, 1), (2, 0), (2, 1)
+    return [above, *(picture.add_subplot(grid[place]) for place in places)]
+
+
+def _from_above(panel: Axes, motion: Motion, data, found: Trajectory, level) -> None:
+    """x to the right, y upwards."""
+    from matplotlib.collections import EllipseCollection
+
+    some = np.unique(np.linspace(0, len(motion.positions) - 1, ELLIPSES).astype(int))
+    values, vectors = np.linalg.eigh(motion.position_covariances[some, :2, :2])
+    axes = 2 * quantile_radius(level, 2) * np.sqrt(np.maximum(values, 0.0))
+    angle = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+    places = {
+        "offsets": motion.positions[some, :2],
+        "offset_transform": panel.transData,
+    }
+    style = {"units": "xy", "facecolors": BLUE, "edgecolors": "none", "alpha": 0.12}
+    ellipses = EllipseCollection(axes[:, 1], axes[:, 0], angle, **style, **places)
+    panel.add_collection(ellipses)
+    lost = np.isin(np.arange(len(data)), found.outliers)
+    dots = {"ms": 2.5, "mew": 0, "zorder": 1}
+    panel.plot(*data[~lost, :2].T, ".", color=GREY, alpha=0.6, label="data", **dots)
+    if lost.any():
+        dots |= {"ms": 4, "zorder": 3}
+        panel.plot(*data[lost, :2].T, ".", color=ORANGE, label="outliers", **dots)
+    panel.plot(*motion.positions[:, :2].T, color=BLUE, lw=1, label="path", zorder=2)
+    inside = np.concatenate([motion.positions[:, :2], data[~lost, :2]])
+    low, high = inside.min(axis=0), inside.max(axis=0)
+    room = 0.06 * max(high - low)
+    panel.set(
+        xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room)
+    )
+    panel.set(xlabel="x (m)", ylabel="y (m)")
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.ticklabel_format(useOffset=False)
+    panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def _residuals(panel: Axes, t, gap, label: str, lost: np.ndarray) -> None:
+    kept = ~np.isin(np.arange(len(t)), lost)
+    most = 1.15 * np.max(np.abs(gap[kept]))
+    for column, colour, name in zip(gap.T, COLOURS, AXES):
+        style = {"ms": 2.0, "mew": 0, "alpha": 0.7}
+        panel.plot(t[kept], column[kept], ".", color=colour, label=name, **style)
+        edge = np.clip(column[lost], -most, most)
+        panel.plot(t[lost], edge, ".", color=ORANGE, ms=4, mew=0, clip_on=False)
+    panel.axhline(0, color=GREY, lw=0.6, zorder=0)
+    panel.set(ylabel=label, ylim=(-most, most))
+
+
+def _curves(panel: Axes, t, values, covariances, factor, label, level) -> None:
+    z = quantile_radius(level, 1)
+    for a, (colour, name) in enumerate(zip(COLOURS, AXES)):
+        middle = factor * values[:, a]
+        half = factor * z * np.sqrt(np.maximum(covariances[:, a, a], 0.0))
+        panel.plot(t, middle, color=colour, lw=0.9, label=name)
+        panel.fill_between(
+            t, middle - half, middle + half, color=colour, alpha=0.2, lw=0
+        )
+    panel.set(ylabel=label)
