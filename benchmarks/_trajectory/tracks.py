@@ -12,8 +12,6 @@ EVERY = 5  # of the poses at 50 Hz
 
 
 class Truth(NamedTuple):
-    nanoseconds: np.ndarray
-    """Whole numbers since 1970."""
     times: np.ndarray
     """Seconds since the first."""
     rotations: Rotation
@@ -37,13 +35,17 @@ class Found(NamedTuple):
     rotations: Rotation
     positions: np.ndarray
     twists: np.ndarray
-    """Angular velocity in axes of the body, and linear."""
+    """Angular velocity in axes of the body, linear in axes of space."""
     pose_covariances: np.ndarray | None = None
-    """Rotation vectors in axes of the body, and positions in the axes of the velocity."""
+    """Rotation vectors in axes of the body, and positions."""
     twist_covariances: np.ndarray | None = None
+    body: bool = False
+    """Whether the covariances of positions and linear velocities are along axes of the
+    body, too."""
 
 
-def truth() -> Truth:
+def truth(seconds: float = np.inf) -> Truth:
+    """The flight, or its beginning."""
     path = data_folder() / "tables" / "se3_euroc_v102.csv"
     names = path.read_text().splitlines()[1].split(",")
     table = np.loadtxt(path, delimiter=",", skiprows=2)
@@ -54,7 +56,8 @@ def truth() -> Truth:
     turns = (rotations[:-1].inv() * rotations[1:]).as_rotvec() / np.diff(times)[:, None]
     turns = np.concatenate([turns[:1], (turns[1:] + turns[:-1]) / 2, turns[-1:]])
     twists = np.concatenate([turns, columns("vx vy vz")], axis=1)
-    return Truth(stamps, times, rotations, columns("px py pz"), twists)
+    n = int(np.sum(times <= seconds))
+    return Truth(times[:n], rotations[:n], columns("px py pz")[:n], twists[:n])
 
 
 def noisy(flight: Truth, seed: int) -> Noisy:

@@ -10,15 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from .tracks import Found, Noisy
 
-START = np.log([1.0, 1.0])  # of the power spectral densities, rad^2 / s^3 and m^2 / s^3
-
 
 def wnoa(data: Noisy, times: np.ndarray) -> Found:
-    """The two densities by marginal likelihood (Laplace), noise as it is. States at all
+    """The two power spectral densities, rad^2 / s^3 and m^2 / s^3, by marginal likelihood (Laplace), noise as it is. States at all
     `times` follow: of a Markov process that is interpolation."""
-    scale = np.sqrt(data.times[-1] - data.times[0])
-    steps = _rates(data)
-    guess = np.log([max(np.var(w) / scale, 1e-6) for w in steps])
+    guess = np.log([np.var(rates) for rates in _rates(data)])
     best = minimize(
         lambda q: -evidence(data, np.exp(q)),
         guess,
@@ -33,13 +29,10 @@ def wnoa(data: Noisy, times: np.ndarray) -> Found:
     cov = lambda key: np.array(
         [marginals.marginalCovariance(key(i)) for i in range(len(times))]
     )
-    return Found(
-        Rotation.from_matrix([p.rotation().matrix() for p in poses]),
-        np.array([p.translation() for p in poses]),
-        twists,
-        cov(X),
-        cov(V),
-    )
+    rotations = Rotation.from_matrix([p.rotation().matrix() for p in poses])
+    twists[:, 3:] = rotations.apply(twists[:, 3:])
+    positions = np.array([p.translation() for p in poses])
+    return Found(rotations, positions, twists, cov(X), cov(V), body=True)
 
 
 def evidence(data: Noisy, q: np.ndarray) -> float:

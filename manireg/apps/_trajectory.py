@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from .._input.numbers import Numbers, as_numbers
 from .._objective.resolution import ResolutionWarning
 from .._objective.robust import AbstractLoss, Tukey
-from .._selection.criteria import CriterionName, cut_errors
+from .._selection.criteria import CriterionName
 from .._selection.fit import fit
 from .._solver.posterior import Posterior
 from .._sources.sources import Interval
@@ -149,7 +149,7 @@ def trajectory(
     orientation_sigma: float | None = None,
     loss: AbstractLoss | str = Tukey(),
     order: Any = ORDERS,
-    criterion: CriterionName = "reml",
+    criterion: CriterionName = "error",
     centres: int | None = None,
     **options,
 ) -> Trajectory:
@@ -252,19 +252,16 @@ def lifted(
     return found
 
 
-def _part(target, t, y, sigma, order, centres, origin=0.0, **options) -> Part:
+def _part(target, t, y, sigma, origin=0.0, **options) -> Part:
     noise = {} if sigma is None else {"sigma": float(sigma), "scatter": "none"}
     data = Interval(t.min(), t.max()), target, t, y - origin
-    several = (order,) if isinstance(order, int) else tuple(order)
-    fits = [_resolved(*data, centres, order=p, **noise, **options) for p in several]
-    posteriors = [model.posterior() for model in fits]
-    errors = [_left_out(posterior) for posterior in posteriors]
-    best = int(np.argmin(errors))
-    posterior, summary = posteriors[best], posteriors[best].summary()
+    model = _resolved(*data, **noise, **options)
+    posterior = model.posterior()
+    summary = posterior.summary()
     found = summary.sigma_given or summary.sigma
     window = float(np.ptp(t)) * target.dim / summary.edf
-    lost = np.flatnonzero(fits[best].data_weights < LOST)
-    return Part(posterior, origin, found, several[best], window, lost)
+    lost = np.flatnonzero(model.data_weights < LOST)
+    return Part(posterior, origin, found, summary.order, window, lost)
 
 
 def _resolved(source, target, t, y, centres, **options):
@@ -282,11 +279,6 @@ def _resolved(source, target, t, y, centres, **options):
     for w in caught:
         warnings.warn(w.message, w.category, stacklevel=5)
     return model
-
-
-def _left_out(posterior: Posterior) -> float:
-    """Mean error of left-out data, the largest tenth cut to the ninth decile."""
-    return float(np.mean(cut_errors(posterior.summary().each.left_out)))
 
 
 def _values(posterior: Posterior, t):
