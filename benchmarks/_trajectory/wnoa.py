@@ -12,8 +12,9 @@ from .tracks import Found, Noisy
 
 
 def wnoa(data: Noisy, times: np.ndarray) -> Found:
-    """The two power spectral densities, rad^2 / s^3 and m^2 / s^3, by marginal likelihood (Laplace), noise as it is. States at all
-    `times` follow: of a Markov process that is interpolation."""
+    """The two power spectral densities, rad^2 / s^3 and m^2 / s^3, by marginal
+    likelihood (Laplace), noise as it is. States at all `times` follow: of a Markov process
+    that is interpolation."""
     guess = np.log([np.var(rates) for rates in _rates(data)])
     best = minimize(
         lambda q: -evidence(data, np.exp(q)),

@@ -73,12 +73,12 @@ def trajectory(
     loss: Annotated[
         LossName,
         typer.Option(help="What residuals cost; all but `squared` let go of outliers."),
-    ] = "tukey",
+    ] = "huber",
     order: Annotated[
         str,
         typer.Option(
-            help="Of the derivatives that are kept small; of several the one that predicts "
-            "left-out data better, for positions and orientations each."
+            help="Of the derivatives that are kept small; of several the better "
+            "one is chosen, for positions and orientations each."
         ),
     ] = "2,3",
     centres: Annotated[
@@ -129,9 +129,7 @@ def trajectory(
         check_written(picture, *written)
         check_level(level)
         if not (written or picture or reference):
-            raise ValueError(
-                "Nothing to do: give --out, --table, --picture or --reference."
-            )
+            raise ValueError("Give --out, --table, --picture or --reference.")
         if rate is not None and times is not None:
             raise ValueError("--rate, --times: give one of them.")
         others = [
@@ -175,9 +173,8 @@ def trajectory(
         if table is not None:
             motion_table(table, found, asked, motion, level, first)
         if picture is not None:
-            drawn = trajectory_picture(
-                found, data.positions, data.quaternions, level / 100
-            )
+            given = data.positions, data.quaternions
+            drawn = trajectory_picture(found, *given, level / 100)
             plot.save(drawn, picture)
         print_rows(rows, written + ([picture] if picture else []))
 
@@ -216,9 +213,9 @@ def _asked(found: Trajectory, clock: Stamps, rate, times: Path | None, unit) -> 
     if asked.unit != clock.unit or out.any():
         first = asked.texts()[int(np.argmax(out))]
         raise ValueError(
-            f"{times}: {out.sum()} of {len(t)} times lie outside those of the poses, first "
-            f"{first}; they are not extrapolated. Both have to be in the same clock and "
-            "unit (--unit)."
+            f"{times}: {out.sum()} of {len(t)} times lie outside those of the poses, "
+            f"first {first}; they are not extrapolated. Both have to be in the same clock "
+            "and unit (--unit)."
         )
     return asked
 

@@ -163,8 +163,8 @@ class Posterior(eqx.Module):
         return Estimate(velocity.reshape(-1, *shape), covariance, frames)
 
     def angular_velocity(self, x: Numbers, axes: str = "space") -> Estimate:
-        """`angular_velocity` of a curve of rotations or poses, `(q, 3)` in radians per unit
-        of x, about axes of the space or of the body, with its covariances `(q, 3, 3)`.
+        """`angular_velocity` of a curve of rotations or poses, `(q, 3)` in radians per
+        unit of x, about axes of the space or of the body, with its covariances.
 
         **Raises** ValueError for other targets, and names of axes."""
         read = turn_in_body if is_body(axes) else turn_in_space
@@ -172,8 +172,8 @@ class Posterior(eqx.Module):
 
     def twist(self, x: Numbers, axes: str = "space") -> Estimate:
         """Of a curve of poses, `SpecialEuclidean(3)`: angular velocity in radians, then
-        that of the position, both per unit of x and along axes of the space or of the body,
-        `(q, 6)`, with its covariances `(q, 6, 6)`.
+        that of the position, both per unit of x and along axes of the space or of the
+        body, `(q, 6)`, with its covariances `(q, 6, 6)`.
 
         **Raises** ValueError for other targets, and names of axes."""
         return self._moving(x, twist_in_body if is_body(axes) else twist_in_space)

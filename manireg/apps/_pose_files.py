@@ -70,9 +70,8 @@ def read_poses(path: str | Path, unit: str | None = None) -> PoseTable:
     names = list(table.columns)
     headless = names == [str(i + 1) for i in range(len(names))]
     if headless and len(names) == KITTI_COLUMNS:
-        rotations, positions = _checked(
-            path, matrices_of, _numbers(table, names).reshape(-1, 3, 4)
-        )
+        matrices = _numbers(table, names).reshape(-1, 3, 4)
+        rotations, positions = _checked(path, matrices_of, matrices)
         return PoseTable("kitti", None, positions, quaternions_of(rotations, "wxyz"))
     if headless and len(names) != TUM_COLUMNS:
         raise ValueError(
@@ -156,7 +155,7 @@ def _find(path: Path, names: list[str]) -> _Columns:
     quaternion = quaternion or _several(path, names, (r"q_?{}",), "0123", "quaternion")
     if not quaternion:
         raise ValueError(
-            f"{path}: no quaternion among the columns {', '.join(names)}. Call its columns "
+            f"{path}: no quaternion among the columns {', '.join(names)}. Call them "
             "qw, qx, qy, qz (or q0, q1, q2, q3 with the scalar first)."
         )
     there = sorted(quaternion, key=names.index)
@@ -179,9 +178,9 @@ def _time(path: Path, names: list[str]) -> tuple[str | None, str | None, bool]:
             raise ValueError(f"{path}: several columns may be the time: {several}.")
         return fine[0]
     counters = [name for name in names if re.fullmatch(COUNTERS, _plain(name)[0])]
-    return (
-        found or [(name, None, True) for name in counters[:1]] or [(None, None, False)]
-    )[0]
+    if counters and not found:
+        return counters[0], None, True
+    return found[0] if found else (None, None, False)
 
 
 def _several(

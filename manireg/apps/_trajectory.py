@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from .._input.numbers import Numbers, as_numbers
 from .._objective.resolution import ResolutionWarning
-from .._objective.robust import AbstractLoss, Tukey
+from .._objective.robust import AbstractLoss
 from .._selection.criteria import CriterionName
 from .._selection.fit import fit
 from .._solver.posterior import Posterior
@@ -25,7 +25,8 @@ QUATERNIONS = Sphere(3, 2.0)  # unit ones times 2: distances are angles of rotat
 ORDERS = (2, 3)
 LEAST, MOST = 32, 2000  # centres
 DATA_A_CENTRE = 4.0
-LOST = 0.5  # of a datum's weight: with less it counts as an outlier
+LOST = 1 / 3  # of a datum's weight: with less it counts as an outlier
+CRITERIA = {"position": "error", "orientation": "reml"}
 LONG = 3.0  # median steps between data, from where on it is a gap
 LINKS = 5  # poses ahead that signs are compared with
 
@@ -147,9 +148,9 @@ def trajectory(
     unit: float = 1.0,
     position_sigma: float | None = None,
     orientation_sigma: float | None = None,
-    loss: AbstractLoss | str = Tukey(),
+    loss: AbstractLoss | str = "huber",
     order: Any = ORDERS,
-    criterion: CriterionName = "error",
+    criterion: CriterionName | None = None,
     centres: int | None = None,
     **options,
 ) -> Trajectory:
@@ -166,16 +167,20 @@ def trajectory(
 
     - `times`: `(k,)`, in any order: numbers of a `unit` of so many seconds, or dates.
       Integers, such as nanoseconds since 1970 (`unit=1e-9`), are taken exactly.
-    - `positions`: `(k, 3)`; `orientations`: scipy's `Rotation` or unit quaternions `(k, 4)`
-      from the body to space, with `quaternions` saying where the scalar is.
+    - `positions`: `(k, 3)`; `orientations`: scipy's `Rotation` or unit quaternions
+      `(k, 4)` from the body to space, with `quaternions` saying where the scalar is.
     - `position_sigma`, `orientation_sigma`: standard deviations of the noise along each
       axis, and about each in radians; by default found with the fit.
-    - `loss`: as in `mr.fit`; default `Tukey()`, which lets outliers go altogether.
+    - `loss`: as in `mr.fit`; default `"huber"`. Data that it leaves less than a third of
+      their weight are called outliers: five standard deviations off. (`"tukey"` lets them
+      go altogether, but takes a manoeuvre that is quicker than the rest for outliers.)
     - `order`: of the energy, or several (default 2 and 3), of which positions and
-      orientations each take the one that predicts left-out data better.
+      orientations each take the one that their criterion is lower for.
     - `centres`: default a quarter as many as data, and where a `ResolutionWarning` says
       that these are too few, as many; within 32 and 2,000.
-    - `criterion` and other options: as in `mr.fit`.
+    - `criterion`: what smoothness and order are chosen by, as in `mr.fit`; default the
+      `"error"` of data left out for positions, `"reml"`, the restricted likelihood, for
+      orientations. Other options: as in `mr.fit`.
 
     **Returns** a `Trajectory`: `.at(times)` has poses, velocities, and how sure they are;
     `.outliers`, `.gaps`.
@@ -190,15 +195,15 @@ def trajectory(
     """
     first = first_of(times)
     t = seconds_since(times, first, unit)
-    common = {"loss": loss, "order": order, "criterion": criterion} | options
+    common = {"loss": loss, "order": order, "centres": centres} | options
     if positions is None and orientations is None:
         raise ValueError("trajectory: give positions, orientations or both.")
-    common |= {"centres": centres}
     position = orientation = None
     if positions is not None:
         p = as_numbers("positions", positions)
+        how = common | {"criterion": criterion or CRITERIA["position"]}
         position = _part(
-            Euclidean(3), t, p, position_sigma, origin=p.mean(axis=0), **common
+            Euclidean(3), t, p, position_sigma, origin=p.mean(axis=0), **how
         )
     if orientations is not None:
         if quaternions is None and not hasattr(orientations, "as_quat"):
@@ -208,7 +213,8 @@ def trajectory(
         rotation = rotations_of(orientations, quaternions or "wxyz")
         q = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
         points = QUATERNIONS.radius * lifted(t, q)
-        orientation = _part(QUATERNIONS, t, points, orientation_sigma, **common)
+        how = common | {"criterion": criterion or CRITERIA["orientation"]}
+        orientation = _part(QUATERNIONS, t, points, orientation_sigma, **how)
     return Trajectory(first, unit, t, position, orientation)
 
 

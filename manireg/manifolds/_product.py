@@ -89,7 +89,7 @@ class Product(AbstractManifold):
             start = stop
         return tuple(parts)
 
-    def join(self, *parts: Float[Array, "..."]) -> Float[Array, "..."]:
+    def join(self, *parts: Float[Any, "..."]) -> Float[Array, "..."]:
         """The inverse of `split`; leading dimensions broadcast."""
         if len(parts) != len(self.factors):
             raise ValueError(

@@ -1,5 +1,5 @@
-"""What users have of poses - quaternions in two orders, 4 x 4 matrices, 6 x 6 covariances -
-checked, once, on the host."""
+"""What users have of poses - quaternions in two orders, 4 x 4 matrices, 6 x 6
+covariances - checked, once, on the host."""
 
 import numpy as np
 from jaxtyping import Float

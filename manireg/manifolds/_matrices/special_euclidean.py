@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,9 +18,6 @@ from .._product import Product
 from .poses import check_covariances, matrices_of, quaternions_of, rotations_of
 from .special_orthogonal import SpecialOrthogonal
 from .turns import cross_matrices, is_body
-
-Axes = Literal["body", "space"]
-Order = Literal["wxyz", "xyzw"]
 
 
 class SpecialEuclidean(AbstractManifold):
@@ -57,8 +54,8 @@ class SpecialEuclidean(AbstractManifold):
     def __check_init__(self):
         if self.n != 3:
             raise ValueError(
-                f"SpecialEuclidean: `n` must be 3, found {self.n}. In other dimensions take "
-                "Product(SpecialOrthogonal(n), Euclidean(n), scales=(0.5**0.5, 1/length))."
+                f"SpecialEuclidean: `n` must be 3, found {self.n}. In other dimensions "
+                "take Product(SpecialOrthogonal(n), Euclidean(n), scales=...)."
             )
         known = np.asarray(self.length) if is_concrete(self.length) else np.ones(())
         if known.shape != () or not 0 < known < np.inf:
@@ -72,7 +69,7 @@ class SpecialEuclidean(AbstractManifold):
         return Product(SpecialOrthogonal(3), Euclidean(3), scales=scales)
 
     def from_pose(
-        self, position: Numbers, quaternion: Numbers, *, order: Order
+        self, position: Numbers, quaternion: Numbers, *, order: str
     ) -> Float[Array, "... 12"]:
         """Points of positions `(..., 3)` and unit quaternions `(..., 4)` or scipy's
         `Rotation`, of the body in space; `order` of the quaternion's numbers: `"wxyz"`,
@@ -83,7 +80,7 @@ class SpecialEuclidean(AbstractManifold):
         return self._of(rotations_of(quaternion, order), _vectors("position", position))
 
     def to_pose(
-        self, points: Numbers, *, order: Order
+        self, points: Numbers, *, order: str
     ) -> tuple[Float[np.ndarray, "... 3"], Float[np.ndarray, "... 4"]]:
         """The inverse of `from_pose`, quaternions with the sign that continues the one
         before along the first axis (the first: w >= 0)."""
@@ -105,7 +102,7 @@ class SpecialEuclidean(AbstractManifold):
         found[..., :3, :3], found[..., :3, 3], found[..., 3, 3] = rotation, position, 1
         return found
 
-    def frames(self, points: Numbers, axes: Axes) -> Float[np.ndarray, "k 12 6"]:
+    def frames(self, points: Numbers, axes: str) -> Float[np.ndarray, "k 12 6"]:
         """Orthonormal frames of the tangent spaces at k points: turns about the three
         axes of the body or of space, then moves along them."""
         rotation, position = map(np.asarray, self.split(as_numbers("points", points)))
@@ -126,7 +123,7 @@ class SpecialEuclidean(AbstractManifold):
         return np.swapaxes(np.concatenate(each, axis=1), 1, 2)
 
     def noise_of(
-        self, points: Numbers, covariances: Numbers, *, axes: Axes
+        self, points: Numbers, covariances: Numbers, *, axes: str
     ) -> dict[str, np.ndarray]:
         r"""`precision` and `frames` for `mr.fit` of k poses with covariances `(k, 6, 6)`,
         or one for all, of the error's rotation vector (radians), then position (in the
@@ -148,7 +145,7 @@ class SpecialEuclidean(AbstractManifold):
         }
 
     def covariances_of(
-        self, points: Numbers, covariance: Numbers, frame: Numbers, *, axes: Axes
+        self, points: Numbers, covariance: Numbers, frame: Numbers, *, axes: str
     ) -> Float[np.ndarray, "k 6 6"]:
         """The inverse: from `(k, 6, 6)` in orthonormal frames `(k, 12, 6)`, as
         `posterior.covariance` has them, to rotation vectors and positions."""
@@ -225,8 +222,16 @@ class SpecialEuclidean(AbstractManifold):
     ) -> Float[Array, "..."]:
         return self._product.log(p, q)
 
+    def covariant_derivative(
+        self, psi: Sequence[Float[Array, "..."]]
+    ) -> Float[Array, "..."]:
+        """Positions are flat: their last derivative."""
+        turns, moves = zip(*(self.split(v) for v in psi), strict=True)
+        rotations = self._product.factors[0]
+        return self.join(rotations.covariant_derivative(turns), moves[-1])
+
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
-        """Random rotations, and positions of a standard deviation of 1 in the unit of t."""
+        """Random rotations, and positions of standard deviation 1 in the unit of t."""
         return self._product.random_points(key, n)
 
     def product(

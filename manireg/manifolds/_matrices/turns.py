@@ -25,8 +25,8 @@ def turn_rate(
 def quaternion_turn_rate(
     q: Float[Array, "... 4"], v: Float[Array, "... 4"], axes: str
 ) -> Float[Array, "... 3"]:
-    r"""The same of quaternions w, x, y, z of any length with derivatives v: the vector part
-    of $2 \bar q v / |q|^2$ (body) or $2 v \bar q / |q|^2$ (space)."""
+    r"""The same of quaternions w, x, y, z of any length with derivatives v: the vector
+    part of $2 \bar q v / |q|^2$ (body) or $2 v \bar q / |q|^2$ (space)."""
     side = 1.0 if is_body(axes) else -1.0
     w, a, s, b = q[..., :1], q[..., 1:], v[..., :1], v[..., 1:]
     vector = w * b - s * a - side * jnp.cross(a, b)
