@@ -69,8 +69,8 @@ def report(rows: list[dict[str, str]]) -> str:
         __doc__.split("\n\n")[0].replace("\n", " "),
         "",
         f"Mean errors over all times and {len(seeds)} draws of the noise; shares of the "
-        "truth in regions of 95 %: of pose and velocity (six numbers each), in brackets of "
-        "rotation and translation alone.",
+        "truth in regions of 95 %: of pose and velocity (six numbers each), in brackets "
+        "of rotation and translation alone.",
         "",
         "| method | pose: degrees | cm | velocity: degrees/s | m/s | in region of pose | "
         "of velocity | s |",

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from .._input.numbers import Numbers, as_numbers
 from .._objective.resolution import ResolutionWarning
-from .._objective.robust import AbstractLoss
+from .._objective.robust import AbstractLoss, Huber
 from .._selection.criteria import CriterionName
 from .._selection.fit import fit
 from .._solver.posterior import Posterior
@@ -148,7 +148,7 @@ def trajectory(
     unit: float = 1.0,
     position_sigma: float | None = None,
     orientation_sigma: float | None = None,
-    loss: AbstractLoss | str = "huber",
+    loss: AbstractLoss | str = Huber(),
     order: Any = ORDERS,
     criterion: CriterionName | None = None,
     centres: int | None = None,
@@ -171,8 +171,8 @@ def trajectory(
       `(k, 4)` from the body to space, with `quaternions` saying where the scalar is.
     - `position_sigma`, `orientation_sigma`: standard deviations of the noise along each
       axis, and about each in radians; by default found with the fit.
-    - `loss`: as in `mr.fit`; default `"huber"`. Data that it leaves less than a third of
-      their weight are called outliers: five standard deviations off. (`"tukey"` lets them
+    - `loss`: as in `mr.fit`; default `Huber()`. Data that it leaves less than a third of
+      their weight are called outliers: five standard deviations off. (`Tukey()` lets them
       go altogether, but takes a manoeuvre that is quicker than the rest for outliers.)
     - `order`: of the energy, or several (default 2 and 3), of which positions and
       orientations each take the one that their criterion is lower for.
