@@ -73,7 +73,13 @@ def trajectory(
     loss: Annotated[
         LossName,
         typer.Option(help="What residuals cost; all but `squared` let go of outliers."),
-    ] = "huber",
+    ] = "squared",
+    reject: Annotated[
+        bool,
+        typer.Option(
+            help="Leave out poses far from what their neighbours in time say."
+        ),
+    ] = True,
     order: Annotated[
         str,
         typer.Option(
@@ -157,6 +163,7 @@ def trajectory(
             position_sigma=position_sigma,
             orientation_sigma=degrees,
             loss=loss_of(loss),
+            reject=reject,
             order=order_of(order),
             centres=centres,
         )
@@ -210,7 +217,7 @@ def _asked(found: Trajectory, clock: Stamps, rate, times: Path | None, unit) -> 
     asked = read_stamps(times, unit)
     t = asked.seconds(clock.first)
     out = (t < found.times.min() - 1e-9) | (t > found.times.max() + 1e-9)
-    if asked.unit != clock.unit or out.any():
+    if out.any():
         first = asked.texts()[int(np.argmax(out))]
         raise ValueError(
             f"{times}: {out.sum()} of {len(t)} times lie outside those of the poses, "
@@ -257,6 +264,11 @@ def _compared(
     there = true.stamps.seconds(first)
     inside = np.flatnonzero((there >= t.min()) & (there <= t.max()))
     i, j = associated(t, there[inside])
+    if len(i) < 3:
+        raise ValueError(
+            f"--reference: {len(i)} of its {len(there)} times are within 0.01 s of a pose. "
+            "Are both in the same clock and unit (--unit)?"
+        )
     j = inside[j]
     smooth = found.after(there[j])
     take = lambda array, index: None if array is None else array[index]

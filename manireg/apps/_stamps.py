@@ -37,12 +37,14 @@ class Stamps(NamedTuple):
 
     @property
     def first(self) -> Decimal:
-        return min(self.exact)
+        """In seconds."""
+        with localcontext(prec=DIGITS):
+            return min(self.exact) * self.unit
 
     def seconds(self, first: Decimal) -> Float[np.ndarray, " k"]:
         """Since `first`: the differences are exact before they are floats."""
         with localcontext(prec=DIGITS):
-            return np.array([float((t - first) * self.unit) for t in self.exact])
+            return np.array([float(t * self.unit - first) for t in self.exact])
 
     def texts(self) -> list[str]:
         """As plain decimals."""
@@ -56,8 +58,9 @@ class Stamps(NamedTuple):
         least to the nanosecond."""
         with localcontext(prec=DIGITS):
             step = 1 / (Decimal(repr(float(rate))) * self.unit)
-            count = int((max(self.exact) - self.first) / step) + 1
-            found = (self.first + i * step for i in range(count))
+            start = min(self.exact)
+            count = int((max(self.exact) - start) / step) + 1
+            found = (start + i * step for i in range(count))
             return self._replace(exact=tuple(round(t, self._digits) for t in found))
 
     def with_gaps_filled(self, gaps: list, step: float) -> "Stamps":
@@ -69,7 +72,7 @@ class Stamps(NamedTuple):
                 count = max(round((gap.end - gap.start) / step), 1)
                 inner = np.linspace(gap.start, gap.end, count + 1)[1:-1].tolist()
                 for t in inner:
-                    exact = self.first + Decimal(repr(t)) / self.unit
+                    exact = min(self.exact) + Decimal(repr(t)) / self.unit
                     found.add(round(exact, self._digits))
         return self._replace(exact=tuple(sorted(found)))
 

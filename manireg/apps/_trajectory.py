@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from .._input.numbers import Numbers, as_numbers
 from .._objective.resolution import ResolutionWarning
-from .._objective.robust import AbstractLoss, Huber
+from .._objective.robust import AbstractLoss
 from .._selection.criteria import CriterionName
 from .._selection.fit import fit
 from .._solver.posterior import Posterior
@@ -20,6 +20,7 @@ from .._sources.sources import Interval
 from ..manifolds import Euclidean, Sphere
 from ..manifolds._matrices.poses import rotations_of
 from ..manifolds._matrices.turns import quaternion_turn_rate
+from ._outliers import outliers
 
 QUATERNIONS = Sphere(3, 2.0)  # unit ones times 2: distances are angles of rotation
 ORDERS = (2, 3)
@@ -71,7 +72,7 @@ class Part(NamedTuple):
     """Seconds that the smoother averages over: the time of the data, over their effective
     degrees of freedom along each axis."""
     outliers: np.ndarray
-    """Indices of the data that the loss has let go of."""
+    """Indices of the data that were left out, or that the loss has let go of."""
 
 
 class Trajectory(NamedTuple):
@@ -148,7 +149,8 @@ def trajectory(
     unit: float = 1.0,
     position_sigma: float | None = None,
     orientation_sigma: float | None = None,
-    loss: AbstractLoss | str = Huber(),
+    loss: AbstractLoss | str = "squared",
+    reject: bool = True,
     order: Any = ORDERS,
     criterion: CriterionName | None = None,
     centres: int | None = None,
@@ -171,9 +173,11 @@ def trajectory(
       `(k, 4)` from the body to space, with `quaternions` saying where the scalar is.
     - `position_sigma`, `orientation_sigma`: standard deviations of the noise along each
       axis, and about each in radians; by default found with the fit.
-    - `loss`: as in `mr.fit`; default `Huber()`. Data that it leaves less than a third of
-      their weight are called outliers: five standard deviations off. (`Tukey()` lets them
-      go altogether, but takes a manoeuvre that is quicker than the rest for outliers.)
+    - `reject`: leave out data that are far from the cubic through their four neighbours
+      in time, as measured by how far others nearby are (about six standard deviations).
+    - `loss`: as in `mr.fit`. Of a robust one data that are left less than a third of their
+      weight are called outliers, too. (Such losses may take a manoeuvre that is quicker
+      than the rest for outliers.)
     - `order`: of the energy, or several (default 2 and 3), of which positions and
       orientations each take the one that their criterion is lower for.
     - `centres`: default a quarter as many as data, and where a `ResolutionWarning` says
@@ -195,7 +199,8 @@ def trajectory(
     """
     first = first_of(times)
     t = seconds_since(times, first, unit)
-    common = {"loss": loss, "order": order, "centres": centres} | options
+    common = {"loss": loss, "order": order, "centres": centres, "reject": reject}
+    common |= options
     if positions is None and orientations is None:
         raise ValueError("trajectory: give positions, orientations or both.")
     position = orientation = None
@@ -258,15 +263,18 @@ def lifted(
     return found
 
 
-def _part(target, t, y, sigma, origin=0.0, **options) -> Part:
+def _part(target, t, y, sigma, reject, origin=0.0, **options) -> Part:
     noise = {} if sigma is None else {"sigma": float(sigma), "scatter": "none"}
-    data = Interval(t.min(), t.max()), target, t, y - origin
+    y = y - origin
+    kept = np.flatnonzero(~outliers(t, y)) if reject else np.arange(len(t))
+    data = Interval(t.min(), t.max()), target, t[kept], y[kept]
     model = _resolved(*data, **noise, **options)
     posterior = model.posterior()
     summary = posterior.summary()
     found = summary.sigma_given or summary.sigma
     window = float(np.ptp(t)) * target.dim / summary.edf
-    lost = np.flatnonzero(model.data_weights < LOST)
+    gone = np.setdiff1d(np.arange(len(t)), kept)
+    lost = np.union1d(gone, kept[model.data_weights < LOST])
     return Part(posterior, origin, found, summary.order, window, lost)
 
 

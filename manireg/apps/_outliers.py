@@ -1,0 +1,62 @@
+"""Data that nothing around them explains, before any map is fitted."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import median_filter
+
+SIDE = 2  # neighbours on each side, which a cubic goes through
+FAR = 4.0  # of the median size nearby: six standard deviations in three dimensions
+NEARBY = 21  # data that tell how large misfits are here, so that quick manoeuvres pass
+CONTEST = 4  # places around a datum in which only the worst is taken at a time
+ROUNDS = 100
+LEAST = 12  # data
+
+
+def outliers(
+    t: Float[np.ndarray, " k"], y: Float[np.ndarray, "k n"]
+) -> Bool[np.ndarray, " k"]:
+    """Which data lie far from the cubic through their four neighbours in time, against
+    how far others do, here and in all; the worst first, and those beside it then without
+    it."""
+    bad = np.zeros(len(t), bool)
+    if len(t) < LEAST:
+        return bad
+    along = np.argsort(t, kind="stable")
+    t, y = t[along], y[along]
+    found = np.zeros(len(t), bool)
+    for _ in range(ROUNDS):
+        size = _misfits(t, y, ~found)
+        usual = np.median(size[~found])
+        if usual == 0:
+            usual = np.finfo(float).eps * np.max(np.abs(y))
+        here = median_filter(np.where(found, usual, size), NEARBY, mode="nearest")
+        ratio = size / np.maximum(here, usual)
+        found &= ratio > FAR  # what looked odd beside another
+        ratio[found] = 0.0
+        padded = np.pad(ratio, CONTEST)
+        windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * CONTEST + 1)
+        worst = (ratio > FAR) & (ratio >= windows.max(axis=1))
+        if not worst.any():
+            break
+        found |= worst
+    bad[along] = found
+    return bad
+
+
+def _misfits(t, y, kept: Bool[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """Distances to the cubics, in units of what independent noise of one size makes."""
+    pool, k = np.flatnonzero(kept), len(t)
+    count = 2 * SIDE
+    place = np.searchsorted(pool, np.arange(k))
+    shift = np.arange(count + 1)[None] - SIDE
+    start = np.clip(place, SIDE, len(pool) - SIDE - 1)[:, None]
+    around = pool[start + shift]  # five, of which the datum itself is one or is over
+    own = around == np.arange(k)[:, None]
+    own[~own.any(axis=1), -1] = True
+    around = around[~own].reshape(k, count)
+    u = t[around] - t[:, None]
+    width = np.maximum(np.max(np.abs(u), axis=1, keepdims=True), 1e-300)
+    powers = (u / width)[:, :, None] ** np.arange(count)
+    weights = np.linalg.pinv(powers)[:, 0]  # of the value at the datum
+    gap = y - np.einsum("kj,kjn->kn", weights, y[around])
+    return np.linalg.norm(gap, axis=1) / np.sqrt(1 + np.sum(weights**2, axis=1))
