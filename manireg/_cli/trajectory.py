@@ -266,8 +266,8 @@ def _compared(
     i, j = associated(t, there[inside])
     if len(i) < 3:
         raise ValueError(
-            f"--reference: {len(i)} of its {len(there)} times are within 0.01 s of a pose. "
-            "Are both in the same clock and unit (--unit)?"
+            f"--reference: {len(i)} of its {len(there)} times are within 0.01 s of a "
+            "pose. Are both in the same clock and unit (--unit)?"
         )
     j = inside[j]
     smooth = found.after(there[j])

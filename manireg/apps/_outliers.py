@@ -2,12 +2,13 @@
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import median_filter
+from scipy.ndimage import label, median_filter
 
 SIDE = 2  # neighbours on each side, which a cubic goes through
 FAR = 4.0  # of the median size nearby: six standard deviations in three dimensions
 NEARBY = 21  # data that tell how large misfits are here, so that quick manoeuvres pass
 CONTEST = 4  # places around a datum in which only the worst is taken at a time
+RUN = 3  # outliers in a row; more are a shock, or another path
 ROUNDS = 100
 LEAST = 12  # data
 
@@ -17,7 +18,7 @@ def outliers(
 ) -> Bool[np.ndarray, " k"]:
     """Which data lie far from the cubic through their four neighbours in time, against
     how far others do, here and in all; the worst first, and those beside it then without
-    it."""
+    it. More than three in a row are none: nothing tells which side is right."""
     bad = np.zeros(len(t), bool)
     if len(t) < LEAST:
         return bad
@@ -39,6 +40,9 @@ def outliers(
         if not worst.any():
             break
         found |= worst
+    runs, _ = label(found)
+    lengths = np.bincount(runs)
+    found &= lengths[runs] <= RUN
     bad[along] = found
     return bad
 

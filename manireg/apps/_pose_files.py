@@ -91,7 +91,10 @@ def read_poses(path: str | Path, unit: str | None = None) -> PoseTable:
     rotations = _checked(path, rotations_of, given, order)
     quaternions = quaternions_of(rotations, "wxyz")
     columns = [found.time or "time", *found.positions, *found.quaternion]
-    tum = headless or (path.suffix in (".tum", ".txt") and columns == names)
+    if not headless and _is_commented(path, names[0]):
+        columns[0] = "#" + columns[0]  # as EuRoC's tools expect it
+    plain = [columns[0].lstrip("#"), *columns[1:]]
+    tum = headless or (path.suffix in (".tum", ".txt") and plain == names)
     tum = tum and not found.scalar_first and len(columns) == TUM_COLUMNS
     kind, read = ("tum", "") if tum else ("csv", ", ".join(columns))
     return PoseTable(
@@ -202,6 +205,13 @@ def _several(
         if all(each):
             return [found[0] for found in each]
     return []
+
+
+def _is_commented(path: Path, first: str) -> bool:
+    """Whether the header is the comment that the file starts with."""
+    with path.expanduser().open("rb") as file:
+        line = file.readline().decode("utf-8", "replace").lstrip("\ufeff")
+    return line.startswith("#") and line[1:].strip().startswith(first)
 
 
 def _plain(name: str) -> tuple[str, str | None]:
