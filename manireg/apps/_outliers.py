@@ -24,12 +24,10 @@ def outliers(
         return bad
     along = np.argsort(t, kind="stable")
     t, y = t[along], y[along]
-    found = np.zeros(len(t), bool)
+    found, least = np.zeros(len(t), bool), _grain(y)
     for _ in range(ROUNDS):
         size = _misfits(t, y, ~found)
-        usual = np.median(size[~found])
-        if usual == 0:
-            usual = np.finfo(float).eps * np.max(np.abs(y))
+        usual = max(np.median(size[~found]), least)
         here = median_filter(np.where(found, usual, size), NEARBY, mode="nearest")
         ratio = size / np.maximum(here, usual)
         found &= ratio > FAR  # what looked odd beside another
@@ -45,6 +43,13 @@ def outliers(
     found &= lengths[runs] <= RUN
     bad[along] = found
     return bad
+
+
+def _grain(y: Float[np.ndarray, "k n"]) -> float:
+    """The steps that numbers of a file are rounded to: of a body that rests the median
+    misfit is nothing, and a step no outlier."""
+    steps = (np.diff(np.unique(column)) for column in y.T)
+    return max([s.min() for s in steps if len(s)] + [np.finfo(float).tiny])
 
 
 def _misfits(t, y, kept: Bool[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:

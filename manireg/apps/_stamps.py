@@ -1,6 +1,6 @@
 """Times as files write them, every digit of them."""
 
-from decimal import Decimal, localcontext
+from decimal import ROUND_FLOOR, Decimal, localcontext
 from typing import NamedTuple
 
 import numpy as np
@@ -32,8 +32,8 @@ class Stamps(NamedTuple):
     def at_rate(count: int, rate: float) -> "Stamps":
         """From 0, in seconds."""
         with localcontext(prec=DIGITS):
-            step = 1 / Decimal(repr(float(rate)))
-            return Stamps(tuple(round(i * step, 9) for i in range(count)))
+            per = Decimal(repr(float(rate)))
+            return Stamps(tuple(round(i / per, 9) for i in range(count)))
 
     @property
     def first(self) -> Decimal:
@@ -57,11 +57,13 @@ class Stamps(NamedTuple):
         """From the first to the last, so many a second, to the digit that these have, at
         least to the nanosecond."""
         with localcontext(prec=DIGITS):
-            step = 1 / (Decimal(repr(float(rate))) * self.unit)
-            start = min(self.exact)
-            count = int((max(self.exact) - start) / step) + 1
-            found = (start + i * step for i in range(count))
-            return self._replace(exact=tuple(round(t, self._digits) for t in found))
+            per, start = Decimal(repr(float(rate))) * self.unit, min(self.exact)
+            count = int((max(self.exact) - start) * per) + 1
+            found = (start + i / per for i in range(count))
+            digit = Decimal(1).scaleb(-self._digits)
+            return self._replace(
+                exact=tuple(t.quantize(digit, ROUND_FLOOR) for t in found)
+            )
 
     def with_gaps_filled(self, gaps: list, step: float) -> "Stamps":
         """In order, with times about a `step` of seconds apart within gaps (start and end

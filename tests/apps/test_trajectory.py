@@ -158,3 +158,9 @@ def test_errors():
         mr.apps.trajectory(T)
     with pytest.raises(ValueError, match="where the scalar is"):
         mr.apps.trajectory(T, orientations=turn(T).as_quat())
+
+
+def test_steps_of_rounding_are_no_outliers():
+    still = np.zeros((40, 3))
+    still[[7, 21, 30], 0] = 1e-3
+    assert not outliers(np.arange(40.0), still).any()
