@@ -176,6 +176,7 @@ def trajectory(
         rows["poses written"] = str(len(asked.exact)) if written else "0"
         rows["time"] = f"{seconds:.1f} s"
         if out is not None:
+            assert motion.quaternions is not None
             write_poses(out, data, asked, motion.positions, motion.quaternions)
         if table is not None:
             motion_table(table, found, asked, motion, level, first)

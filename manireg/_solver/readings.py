@@ -39,7 +39,8 @@ def angular_velocity(
     is_body(axes)  # raises for other names
     r = _arrays("rotation", rotation, (3, 3))
     v = _arrays("velocity", velocity, (3, 3))
-    return turn_rate(*jnp.broadcast_arrays(r, v), axes)
+    r, v = jnp.broadcast_arrays(r, v)
+    return turn_rate(r, v, axes)
 
 
 class SphereMotion(NamedTuple):

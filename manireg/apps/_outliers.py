@@ -1,8 +1,10 @@
 """Data that nothing around them explains, before any map is fitted."""
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import label, median_filter
+from scipy.ndimage import label
 
 SIDE = 2  # neighbours on each side, which a cubic goes through
 FAR = 4.0  # of the median size nearby: six standard deviations in three dimensions
@@ -28,7 +30,7 @@ def outliers(
     for _ in range(ROUNDS):
         size = _misfits(t, y, ~found)
         usual = max(np.median(size[~found]), least)
-        here = median_filter(np.where(found, usual, size), NEARBY, mode="nearest")
+        here = _running_median(np.where(found, usual, size))
         ratio = size / np.maximum(here, usual)
         found &= ratio > FAR  # what looked odd beside another
         ratio[found] = 0.0
@@ -38,11 +40,19 @@ def outliers(
         if not worst.any():
             break
         found |= worst
-    runs, _ = label(found)
+    runs: Any = label(found)[0]
     lengths = np.bincount(runs)
     found &= lengths[runs] <= RUN
     bad[along] = found
     return bad
+
+
+def _running_median(size: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """Of as many at the ends, where a datum has a part in many misfits."""
+    width = min(NEARBY, len(size))
+    windows = np.lib.stride_tricks.sliding_window_view(size, width)
+    start = np.arange(len(size)) - width // 2
+    return np.median(windows, axis=1)[np.clip(start, 0, len(windows) - 1)]
 
 
 def _grain(y: Float[np.ndarray, "k n"]) -> float:

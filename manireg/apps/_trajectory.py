@@ -3,7 +3,6 @@
 import warnings
 from typing import Any, Literal, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import coo_array
@@ -95,29 +94,24 @@ class Trajectory(NamedTuple):
         """The same, at seconds since the first.
 
         **Raises** ValueError outside the time of the data."""
-        positions = quaternions = p = c_p = v = q = c_q = w = None
+        found = dict.fromkeys(Motion._fields)
         if self.position is not None:
-            p, c_p, frames = _values(self.position.posterior, t)
-            c_p = frames @ c_p @ np.swapaxes(frames, 1, 2)
-            positions = p + self.position.origin
-            v = self.position.posterior.velocity(t)
-            v = v.value, v.frame @ v.covariance @ np.swapaxes(v.frame, 1, 2)
+            posterior = self.position.posterior
+            found["positions"] = np.asarray(posterior.model(t)) + self.position.origin
+            found["position_covariances"] = _in_space(*posterior.covariance(t))
+            v = posterior.velocity(t)
+            found["velocities"] = np.asarray(v.value)
+            found["velocity_covariances"] = _in_space(v.covariance, v.frame)
         if self.orientation is not None:
-            q, c_q, frames = _values(self.orientation.posterior, t)
-            quaternions = q / np.linalg.norm(q, axis=1, keepdims=True)
-            turned = jax.vmap(jax.vmap(_turn, (None, 1), 1))(q, frames)
-            c_q = np.asarray(turned) @ c_q @ np.swapaxes(np.asarray(turned), 1, 2)
-            w = self.orientation.posterior.reading(t, _turn)
-        return Motion(
-            positions,
-            quaternions,
-            None if v is None else np.asarray(v[0]),
-            None if w is None else np.asarray(w.value),
-            c_p,
-            c_q,
-            None if v is None else v[1],
-            None if w is None else w.covariance,
-        )
+            posterior = self.orientation.posterior
+            q, (c, frames) = np.asarray(posterior.model(t)), posterior.covariance(t)
+            found["quaternions"] = q / np.linalg.norm(q, axis=1, keepdims=True)
+            along = np.asarray(_turn(q[:, None], np.swapaxes(frames, 1, 2)))
+            found["orientation_covariances"] = _in_space(c, np.swapaxes(along, 1, 2))
+            w = posterior.reading(t, _turn)
+            found["angular_velocities"] = np.asarray(w.value)
+            found["angular_velocity_covariances"] = w.covariance
+        return Motion(**found)
 
     @property
     def parts(self) -> dict[str, Part]:
@@ -206,7 +200,7 @@ def trajectory(
     position = orientation = None
     if positions is not None:
         p = as_numbers("positions", positions)
-        how = common | {"criterion": criterion or CRITERIA["position"]}
+        how: Any = common | {"criterion": criterion or CRITERIA["position"]}
         position = _part(
             Euclidean(3), t, p, position_sigma, origin=p.mean(axis=0), **how
         )
@@ -218,7 +212,7 @@ def trajectory(
         rotation = rotations_of(orientations, quaternions or "wxyz")
         q = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
         points = QUATERNIONS.radius * lifted(t, q)
-        how = common | {"criterion": criterion or CRITERIA["orientation"]}
+        how: Any = common | {"criterion": criterion or CRITERIA["orientation"]}
         orientation = _part(QUATERNIONS, t, points, orientation_sigma, **how)
     return Trajectory(first, unit, t, position, orientation)
 
@@ -263,7 +257,7 @@ def lifted(
     return found
 
 
-def _part(target, t, y, sigma, reject, origin=0.0, **options) -> Part:
+def _part(target, t, y, sigma, reject, origin: Any = 0.0, **options) -> Part:
     noise = {} if sigma is None else {"sigma": float(sigma), "scatter": "none"}
     y = y - origin
     kept = np.flatnonzero(~outliers(t, y)) if reject else np.arange(len(t))
@@ -295,9 +289,8 @@ def _resolved(source, target, t, y, centres, **options):
     return model
 
 
-def _values(posterior: Posterior, t):
-    covariance, frames = posterior.covariance(t)
-    return np.asarray(posterior.model(t)), covariance, frames
+def _in_space(covariance, frame):
+    return frame @ covariance @ np.swapaxes(frame, 1, 2)
 
 
 def _turn(q, v):

@@ -1,7 +1,7 @@
 """How far a trajectory is from a reference: the errors that SLAM is judged by (Sturm et
 al. 2012; Zhang and Scaramuzza 2018)."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +17,7 @@ NEAR = (
 class TrajectoryErrors(NamedTuple):
     """Root mean squares; degrees, the rest in the unit of positions (NaN without)."""
 
-    count: int
+    poses: int
     """Of poses compared."""
     ate: float
     """Absolute error of position after alignment."""
@@ -94,7 +94,7 @@ def associated(
     return nearest[kept], kept
 
 
-def _pairs(times: np.ndarray, delta: float) -> tuple[np.ndarray, np.ndarray]:
+def _pairs(times: np.ndarray, delta: float) -> tuple[Any, Any]:
     later = times + delta
     j = np.clip(np.searchsorted(times, later), 1, len(times) - 1)
     j = np.where(later - times[j - 1] < times[j] - later, j - 1, j)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from .._solver.regions import quantile_radius
 from ..plot._figure import BLUE, COLOURS, GREY, ORANGE, STYLE, figure, matplotlib
-from ._trajectory import Motion, Trajectory
+from ._trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,6 +17,7 @@ else:
 
 POINTS = 1500  # of the curves
 ELLIPSES = 300  # of the band
+MOST = 0.995  # of the residuals lie well within their panel, others on its edge
 AXES = "x", "y", "z"
 
 
@@ -27,15 +28,16 @@ def trajectory_picture(
     level: float = 0.95,
 ) -> Figure:
     """Of `trajectory` and its data (quaternions w, x, y, z): from above with the region of
-    `level` of the path, residuals of the data (outliers in orange, those beyond the panel
-    on its edge), linear and angular velocity with bands of `level` each. Gaps that the
+    `level` of the path, residuals of the data (outliers in orange, what is beyond the
+    panel on its edge), linear and angular velocity with bands of `level` each. Gaps that the
     smoother does not bridge are grey."""
     t = found.times
     at = np.linspace(t.min(), t.max(), min(POINTS, max(4 * len(t), 200)))
-    motion, own = found.after(at), found.after(t)
+    motion: Any = found.after(at)
+    own: Any = found.after(t)
     with matplotlib().rc_context(STYLE):
         both = found.position is not None and found.orientation is not None
-        picture = figure(7.4, 5.6 if both else 3.0)
+        picture = figure(9.0 if both else 7.4, 3.9 if both else 2.6)
         if both:
             above, *rows = _panels(picture)
         else:
@@ -66,7 +68,7 @@ def trajectory_picture(
         for panel, (gap, label, lost) in zip(rows[:half], residuals):
             _residuals(panel, t, gap, label, lost)
         for panel, curve in zip(rows[half:], curves):
-            _curves(panel, at, *curve, level)
+            _curves(panel, at, level, *curve)
         for panel in rows:
             panel.set_xlabel("time (s)")
             for gap in found.gaps:
@@ -77,13 +79,13 @@ def trajectory_picture(
 
 
 def _panels(picture) -> list[Axes]:
-    grid = picture.add_gridspec(3, 2, height_ratios=[1.5, 1, 1])
-    above = picture.add_subplot(grid[0, :])
-    places = (1, 0), (1, 1), (2, 0), (2, 1)
+    grid = picture.add_gridspec(2, 3, width_ratios=[1.35, 1, 1])
+    above = picture.add_subplot(grid[:, 0])
+    places = (0, 1), (0, 2), (1, 1), (1, 2)
     return [above, *(picture.add_subplot(grid[place]) for place in places)]
 
 
-def _from_above(panel: Axes, motion: Motion, data, found: Trajectory, level) -> None:
+def _from_above(panel: Axes, motion: Any, data, found: Trajectory, level) -> None:
     """x to the right, y upwards."""
     from matplotlib.collections import EllipseCollection
 
@@ -112,24 +114,25 @@ def _from_above(panel: Axes, motion: Motion, data, found: Trajectory, level) -> 
         xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room)
     )
     panel.set(xlabel="x (m)", ylabel="y (m)")
-    panel.set_aspect("equal", adjustable="datalim")
+    panel.set_aspect("equal")
     panel.ticklabel_format(useOffset=False)
-    panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
 
 
 def _residuals(panel: Axes, t, gap, label: str, lost: np.ndarray) -> None:
     kept = ~np.isin(np.arange(len(t)), lost)
-    most = 1.15 * np.max(np.abs(gap[kept]))
+    most = 1.5 * np.quantile(np.abs(gap[kept]), MOST)
     for column, colour, name in zip(gap.T, COLOURS, AXES):
         style = {"ms": 2.0, "mew": 0, "alpha": 0.7}
-        panel.plot(t[kept], column[kept], ".", color=colour, label=name, **style)
+        inside = np.clip(column[kept], -most, most)
+        panel.plot(t[kept], inside, ".", color=colour, label=name, **style)
         edge = np.clip(column[lost], -most, most)
         panel.plot(t[lost], edge, ".", color=ORANGE, ms=4, mew=0, clip_on=False)
     panel.axhline(0, color=GREY, lw=0.6, zorder=0)
     panel.set(ylabel=label, ylim=(-most, most))
 
 
-def _curves(panel: Axes, t, values, covariances, factor, label, level) -> None:
+def _curves(panel: Axes, t, level, values, covariances, factor, label) -> None:
     z = quantile_radius(level, 1)
     for a, (colour, name) in enumerate(zip(COLOURS, AXES)):
         middle = factor * values[:, a]

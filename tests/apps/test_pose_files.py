@@ -1,6 +1,7 @@
 """Pose files as others write them, and time stamps to the last digit."""
 
 from decimal import Decimal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from manireg.apps._pose_files import read_poses, read_stamps, write_poses
 from manireg.apps._stamps import Stamps
 
 FIRST = 1403715524907143168  # nanoseconds
-TURNS = Rotation.random(5, random_state=0)
+TURNS = Rotation.from_quat(np.random.default_rng(0).normal(size=(5, 4)))
 PLACES = np.random.default_rng(0).normal(size=(5, 3))
 STAMPS = [FIRST + 20_000_001 * i for i in range(5)]
 
@@ -35,7 +36,7 @@ def same(table):
 
 
 def test_euroc(tmp_path):
-    table = read_poses(euroc(tmp_path / "gt.csv"))
+    table: Any = read_poses(euroc(tmp_path / "gt.csv"))
     assert table.kind == "csv" and table.scalar_first
     assert table.stamps.unit == Decimal("1e-9")
     assert table.stamps.texts() == [str(stamp) for stamp in STAMPS]
@@ -55,7 +56,7 @@ def test_tum(tmp_path):
     path.write_text(
         "".join(f"{t} {' '.join(map(repr, r))}\n" for t, r in zip(texts, rows.tolist()))
     )
-    table = read_poses(path)
+    table: Any = read_poses(path)
     assert table.kind == "tum" and not table.scalar_first
     assert table.stamps.texts() == ["1403715529.112143517", *texts[1:]]
     same(table)
@@ -66,7 +67,7 @@ def test_tum(tmp_path):
     same(read_poses(out))
     named = tmp_path / "named.txt"
     named.write_text("# timestamp tx ty tz qx qy qz qw\n" + path.read_text())
-    table = read_poses(named)
+    table: Any = read_poses(named)
     assert table.kind == "tum"
     same(table)
 
@@ -75,7 +76,7 @@ def test_kitti(tmp_path):
     path = tmp_path / "00.txt"
     matrices = np.concatenate([TURNS.as_matrix(), PLACES[:, :, None]], axis=2)
     np.savetxt(path, matrices.reshape(5, 12), fmt="%.9e")
-    table = read_poses(path)
+    table: Any = read_poses(path)
     assert table.kind == "kitti" and table.stamps is None
     same(table)
     out = tmp_path / "out.txt"
@@ -90,7 +91,7 @@ def test_orientations_alone(tmp_path, names):
     path = tmp_path / "imu.csv"
     rows = np.hstack([0.02 * np.arange(5)[:, None], TURNS.as_quat(scalar_first=True)])
     np.savetxt(path, rows, delimiter=",", header=f"time_s,{names}", comments="")
-    table = read_poses(path)
+    table: Any = read_poses(path)
     assert table.positions is None and table.stamps.unit == 1
     turns = Rotation.from_quat(table.quaternions, scalar_first=True)
     assert (turns.inv() * TURNS).magnitude().max() < 1e-7
@@ -100,7 +101,7 @@ def test_scalar_last_columns_stay_so(tmp_path):
     path = tmp_path / "imu.csv"
     rows = np.hstack([0.02 * np.arange(5)[:, None], TURNS.as_quat()])
     np.savetxt(path, rows, delimiter=",", header="t,qx,qy,qz,qw", comments="")
-    table = read_poses(path)
+    table: Any = read_poses(path)
     assert not table.scalar_first and table.columns[1:] == ("qx", "qy", "qz", "qw")
     out = tmp_path / "out.csv"
     write_poses(out, table, table.stamps, None, table.quaternions)

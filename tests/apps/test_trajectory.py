@@ -1,5 +1,7 @@
 """Smoothed trajectories against motions that are known."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -36,9 +38,10 @@ def found():
     return mr.apps.trajectory(T, p, r, order=3, centres=32)
 
 
+@pytest.mark.slow
 def test_poses_and_velocities(found):
     at = np.linspace(0.2, 3.8, 50)
-    m = found.at(at)
+    m: Any = found.at(at)
     gap = np.linalg.norm(m.positions - place(at), axis=1)
     assert gap.mean() < SIGMA[1]  # a datum's is 1.6 of it
     turns = Rotation.from_quat(m.quaternions, scalar_first=True)
@@ -59,13 +62,14 @@ def test_poses_and_velocities(found):
     assert len(found.outliers) == 0 and found.gaps == []
 
 
+@pytest.mark.slow
 def test_covariances_of_orientations_are_of_the_body(found):
     """Those of posterior draws, by scipy's rotation vectors."""
     import jax
 
     posterior = found.orientation.posterior
     at = np.array([1.0, 2.0])
-    m = found.at(at)
+    m: Any = found.at(at)
     here = Rotation.from_quat(m.quaternions, scalar_first=True)
     draws = posterior.sample(jax.random.key(0), 400)
     turns = [
@@ -81,6 +85,7 @@ def test_covariances_of_orientations_are_of_the_body(found):
         assert np.max(np.abs(gap)) < 0.25
 
 
+@pytest.mark.slow
 def test_origin_and_clock_change_nothing(found):
     """UTM coordinates and nanoseconds since 1970."""
     p, r = measured()
@@ -90,7 +95,8 @@ def test_origin_and_clock_change_nothing(found):
     other = mr.apps.trajectory(
         stamps, p + far, q, quaternions="xyzw", unit=1e-9, order=3, centres=32
     )
-    a, b = found.after(T), other.at(stamps)
+    a: Any = found.after(T)
+    b: Any = other.at(stamps)
     np.testing.assert_allclose(b.positions - far, a.positions, atol=1e-6)
     np.testing.assert_allclose(b.velocities, a.velocities, atol=1e-6)
     np.testing.assert_allclose(b.angular_velocities, a.angular_velocities, atol=1e-6)
@@ -115,7 +121,9 @@ def test_signs_pass_by_outliers():
     """A pose turned by nearly half a turn does not turn the rest over."""
     angle = np.linspace(0, 6 * np.pi, 60)
     q = Rotation.from_rotvec(np.outer(angle, [0, 0, 1.0])).as_quat()
-    q[[20, 21, 40]] = Rotation.random(3, random_state=3).as_quat()
+    q[[20, 21, 40]] = Rotation.from_quat(
+        np.random.default_rng(3).normal(size=(3, 4))
+    ).as_quat()
     random = q * np.where(RNG.random(60) < 0.5, -1, 1)[:, None]
     signed = lifted(np.arange(60.0), random)
     good = np.setdiff1d(np.arange(60), [20, 21, 40])
@@ -146,7 +154,7 @@ def test_gaps_are_named():
     (gap,) = found.gaps
     assert gap.start == pytest.approx(1.45) and gap.end == pytest.approx(2.65)
     assert gap.bridged == (1.2 <= found.position.window)
-    m = found.after(np.array([1.0, 2.0]))
+    m: Any = found.after(np.array([1.0, 2.0]))
     assert np.linalg.det(m.position_covariances[1]) > 8 * np.linalg.det(
         m.position_covariances[0]
     )

@@ -20,7 +20,7 @@ def test_moved_and_turned_as_a_whole_is_no_error():
     found = trajectory_errors(
         TIMES, turn.apply(PLACES) + move, turn * TURNS, PLACES, TURNS, 0.5
     )
-    assert found.count == 40
+    assert found.poses == 40
     np.testing.assert_allclose(found[1:5], 0, atol=1e-6)
 
 

@@ -43,6 +43,7 @@ def run(*arguments):
     return result.exit_code, " ".join(result.output.split())
 
 
+@pytest.mark.slow
 def test_a_flight(files):
     folder, stamps, places = files
     code, text = run(

@@ -11,7 +11,7 @@ from manireg._discretisation.domain import discretise
 
 SPACE = mr.SpecialEuclidean(3, length=0.4)
 RNG = np.random.default_rng(0)
-TURNS = Rotation.random(6, random_state=1)
+TURNS = Rotation.from_quat(np.random.default_rng(1).normal(size=(6, 4)))
 PLACES = RNG.normal(size=(6, 3))
 
 

@@ -68,9 +68,10 @@ def matrices_of(
     linear = flat[:, :3, :3]
     good = np.isfinite(linear).all(axis=(1, 2))
     u, s, vt = np.linalg.svd(np.where(good[:, None, None], linear, 0.0))
-    good &= (np.abs(s - 1) <= CLOSE).all(axis=1) & (np.linalg.det(u @ vt) > 0)
+    proper = np.asarray(np.linalg.det(u @ vt)) > 0
+    good = good & (np.abs(s - 1) <= CLOSE).all(axis=1) & proper
     _refuse(
-        ~good,
+        np.asarray(~good),
         "matrices",
         lambda i: f"hold no rotation in their first three columns (first at index {i})",
         "Take out scale, shear and reflection, or leave these poses out.",

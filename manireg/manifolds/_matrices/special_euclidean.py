@@ -117,14 +117,14 @@ class SpecialEuclidean(AbstractManifold):
             if body
             else np.broadcast_to(unit, r[:, 0].shape)
         )
-        moves = float(self.length) * moves
+        moves = float(np.asarray(self.length)) * moves
         still = np.zeros_like(turns), np.zeros_like(moves)
         each = self.join(turns, still[1]), self.join(still[0], moves)
         return np.swapaxes(np.concatenate(each, axis=1), 1, 2)
 
     def noise_of(
         self, points: Numbers, covariances: Numbers, *, axes: str
-    ) -> dict[str, np.ndarray]:
+    ) -> dict[str, Any]:
         r"""`precision` and `frames` for `mr.fit` of k poses with covariances `(k, 6, 6)`,
         or one for all, of the error's rotation vector (radians), then position (in the
         unit of t).
@@ -249,7 +249,7 @@ class SpecialEuclidean(AbstractManifold):
     @property
     def _units(self) -> Float[np.ndarray, "6"]:
         """Radians and units of t of a unit of distance."""
-        return np.array([1.0] * 3 + [float(self.length)] * 3)
+        return np.array([1.0] * 3 + [float(np.asarray(self.length))] * 3)
 
     def _of(self, rotations: np.ndarray, positions: np.ndarray) -> Float[Array, "..."]:
         batch = np.broadcast_shapes(rotations.shape[:-2], positions.shape[:-1])
