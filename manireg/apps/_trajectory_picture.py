@@ -29,8 +29,8 @@ def trajectory_picture(
 ) -> Figure:
     """Of `trajectory` and its data (quaternions w, x, y, z): from above with the region of
     `level` of the path, residuals of the data (outliers in orange, what is beyond the
-    panel on its edge), linear and angular velocity with bands of `level` each. Gaps that the
-    smoother does not bridge are grey."""
+    panel on its edge), linear and angular velocity with bands of `level` each. Gaps that
+    the smoother does not bridge are grey."""
     t = found.times
     at = np.linspace(t.min(), t.max(), min(POINTS, max(4 * len(t), 200)))
     motion: Any = found.after(at)
