@@ -40,7 +40,8 @@ def outliers(
         if not worst.any():
             break
         found |= worst
-    runs: Any = label(found)[0]
+    numbered: Any = label(found)
+    runs = numbered[0]
     lengths = np.bincount(runs)
     found &= lengths[runs] <= RUN
     bad[along] = found

@@ -150,7 +150,7 @@ def test_outliers_are_those_put_in():
 def test_gaps_are_named():
     keep = (T < 1.5) | (T > 2.6)
     p, _ = measured()
-    found = mr.apps.trajectory(T[keep], p[keep], order=3, centres=32)
+    found: Any = mr.apps.trajectory(T[keep], p[keep], order=3, centres=32)
     (gap,) = found.gaps
     assert gap.start == pytest.approx(1.45) and gap.end == pytest.approx(2.65)
     assert gap.bridged == (1.2 <= found.position.window)

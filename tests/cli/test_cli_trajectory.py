@@ -1,6 +1,7 @@
 """`manireg trajectory` on files as robots write them."""
 
 import csv
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,7 +56,7 @@ def test_a_flight(files):
     assert code == 0, text
     assert f"outliers 1: {stamps[20]}" in text
     assert "gaps 1: 1.95 to 2.2 s" in text
-    smooth = read_poses(folder / "smooth.csv")
+    smooth: Any = read_poses(folder / "smooth.csv")
     # the four that were missing are back, at their time to the nanosecond
     assert smooth.stamps.texts() == [str(stamp) for stamp in stamps]
     gap = np.linalg.norm(smooth.positions - places, axis=1)

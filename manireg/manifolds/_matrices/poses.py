@@ -66,7 +66,7 @@ def matrices_of(
             "Transpose them if the position is in the last row.",
         )
     linear = flat[:, :3, :3]
-    good = np.isfinite(linear).all(axis=(1, 2))
+    good = np.asarray(np.isfinite(linear).all(axis=(1, 2)))
     u, s, vt = np.linalg.svd(np.where(good[:, None, None], linear, 0.0))
     proper = np.asarray(np.linalg.det(u @ vt)) > 0
     good = good & (np.abs(s - 1) <= CLOSE).all(axis=1) & proper
