@@ -90,7 +90,8 @@ def read_poses(path: str | Path, unit: str | None = None) -> PoseTable:
     given = _numbers(table, found.quaternion)
     rotations = _checked(path, rotations_of, given, order)
     quaternions = quaternions_of(rotations, "wxyz")
-    columns = [found.time or "time", *found.positions, *found.quaternion]
+    time = "time" if found.time is None or found.counter else found.time
+    columns = [time, *found.positions, *found.quaternion]
     if not headless and _is_commented(path, names[0]):
         columns[0] = "#" + columns[0]  # as EuRoC's tools expect it
     plain = [columns[0].lstrip("#"), *columns[1:]]

@@ -151,3 +151,11 @@ def test_times_of_a_file(tmp_path):
     assert read_stamps(path).texts() == ["0.000000", "0.1036224"]
     path.write_text("x,time_ns\n1,5\n2,7\n")
     assert read_stamps(path).seconds(Decimal(0)).tolist() == [5e-9, 7e-9]
+
+
+def test_counters_are_no_times(tmp_path):
+    path = tmp_path / "imu.csv"
+    rows = np.hstack([np.arange(5)[:, None], TURNS.as_quat(scalar_first=True)])
+    np.savetxt(path, rows, delimiter=",", header="packet,q0,q1,q2,q3", comments="")
+    table: Any = read_poses(path)
+    assert table.stamps is None and table.columns[0] == "time"
