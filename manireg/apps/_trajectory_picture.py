@@ -37,7 +37,7 @@ def trajectory_picture(
     own: Any = found.after(t)
     with matplotlib().rc_context(STYLE):
         both = found.position is not None and found.orientation is not None
-        picture = figure(9.0 if both else 7.4, 3.9 if both else 2.6)
+        picture = figure(10.0 if both else 7.4, 4.0 if both else 2.6)
         if both:
             above, *rows = _panels(picture)
         else:
@@ -46,8 +46,9 @@ def trajectory_picture(
         if found.position is not None and positions is not None:
             if above is not None:
                 _from_above(above, motion, positions, found, level)
-            gap = positions - own.positions
-            residuals.append((gap, "position residual (m)", found.position.outliers))
+            gap = 1000 * (positions - own.positions)
+            label = "position residual (mm)"
+            residuals.append((gap, label, found.position.outliers))
         if found.orientation is not None and quaternions is not None:
             estimate = Rotation.from_quat(own.quaternions, scalar_first=True)
             data = Rotation.from_quat(quaternions, scalar_first=True)
@@ -69,8 +70,9 @@ def trajectory_picture(
             _residuals(panel, t, gap, label, lost)
         for panel, curve in zip(rows[half:], curves):
             _curves(panel, at, level, *curve)
-        for panel in rows:
+        for panel in rows[half:] if both else rows:
             panel.set_xlabel("time (s)")
+        for panel in rows:
             for gap in found.gaps:
                 if not gap.bridged:
                     panel.axvspan(gap.start, gap.end, color=GREY, alpha=0.25, lw=0)
@@ -116,7 +118,7 @@ def _from_above(panel: Axes, motion: Any, data, found: Trajectory, level) -> Non
     panel.set(xlabel="x (m)", ylabel="y (m)")
     panel.set_aspect("equal")
     panel.ticklabel_format(useOffset=False)
-    panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    panel.legend(loc="best", handlelength=1.2)
 
 
 def _residuals(panel: Axes, t, gap, label: str, lost: np.ndarray) -> None:
