@@ -81,7 +81,10 @@ def trajectory_picture(
 
 
 def _panels(picture) -> list[Axes]:
-    grid = picture.add_gridspec(2, 3, width_ratios=[1.35, 1, 1])
+    picture.set_layout_engine("none")  # a tall panel of equal axes makes it give up
+    margins = {"left": 0.06, "right": 0.99, "bottom": 0.12, "top": 0.97}
+    widths = {"width_ratios": [1.35, 1, 1], "wspace": 0.4, "hspace": 0.18}
+    grid = picture.add_gridspec(2, 3, **margins, **widths)
     above = picture.add_subplot(grid[:, 0])
     places = (0, 1), (0, 2), (1, 1), (1, 2)
     return [above, *(picture.add_subplot(grid[place]) for place in places)]
