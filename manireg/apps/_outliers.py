@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import label
 
 SIDE = 2  # neighbours on each side, which a cubic goes through
-FAR = 4.0  # of the median size nearby: six standard deviations in three dimensions
+FAR = 6.0  # of the median size nearby: nine standard deviations in three dimensions
 NEARBY = 21  # data that tell how large misfits are here, so that quick manoeuvres pass
 CONTEST = 4  # places around a datum in which only the worst is taken at a time
 RUN = 3  # outliers in a row; more are a shock, or another path

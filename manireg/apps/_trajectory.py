@@ -168,7 +168,7 @@ def trajectory(
     - `position_sigma`, `orientation_sigma`: standard deviations of the noise along each
       axis, and about each in radians; by default found with the fit.
     - `reject`: leave out data that are far from the cubic through their four neighbours
-      in time, as measured by how far others nearby are (about six standard deviations).
+      in time, as measured by how far others nearby are (about nine standard deviations).
     - `loss`: as in `mr.fit`. Of a robust one data that are left less than a third of their
       weight are called outliers, too. (Such losses may take a manoeuvre that is quicker
       than the rest for outliers.)

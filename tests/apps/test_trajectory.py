@@ -136,7 +136,7 @@ def test_signs_pass_by_outliers():
 def test_outliers_are_those_put_in():
     p, _ = measured()
     bad = np.array([3, 30, 31, 60])
-    p[bad] += 0.15 * np.array([[1, 0, 0], [0, 1, 1], [0, -1, 1], [1, 1, 0.0]])
+    p[bad] += 0.25 * np.array([[1, 0, 0], [0, 1, 1], [0, -1, 1], [1, 1, 0.0]])
     order = RNG.permutation(len(T))
     found = np.flatnonzero(outliers(T[order], p[order]))
     np.testing.assert_array_equal(np.sort(order[found]), bad)

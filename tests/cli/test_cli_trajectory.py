@@ -41,6 +41,8 @@ def files(tmp_path_factory):
 
 def run(*arguments):
     result = CliRunner().invoke(app, ["trajectory", *map(str, arguments)])
+    if result.exit_code == 1:  # a mistake of ours
+        raise result.exception or AssertionError(result.output)
     return result.exit_code, " ".join(result.output.split())
 
 
