@@ -3,6 +3,7 @@
 import warnings
 from typing import Any, Literal, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import coo_array
@@ -106,8 +107,10 @@ class Trajectory(NamedTuple):
             posterior = self.orientation.posterior
             q, (c, frames) = np.asarray(posterior.model(t)), posterior.covariance(t)
             found["quaternions"] = q / np.linalg.norm(q, axis=1, keepdims=True)
-            along = np.asarray(_turn(q[:, None], np.swapaxes(frames, 1, 2)))
-            found["orientation_covariances"] = _in_space(c, np.swapaxes(along, 1, 2))
+            along = _turn(jnp.asarray(q[:, None]), jnp.swapaxes(frames, 1, 2))
+            found["orientation_covariances"] = _in_space(
+                c, np.swapaxes(np.asarray(along), 1, 2)
+            )
             w = posterior.reading(t, _turn)
             found["angular_velocities"] = np.asarray(w.value)
             found["angular_velocity_covariances"] = w.covariance
