@@ -107,10 +107,9 @@ class Trajectory(NamedTuple):
             posterior = self.orientation.posterior
             q, (c, frames) = np.asarray(posterior.model(t)), posterior.covariance(t)
             found["quaternions"] = q / np.linalg.norm(q, axis=1, keepdims=True)
-            along = _turn(jnp.asarray(q[:, None]), jnp.swapaxes(frames, 1, 2))
-            found["orientation_covariances"] = _in_space(
-                c, np.swapaxes(np.asarray(along), 1, 2)
-            )
+            rates = _turn(jnp.asarray(q[:, None]), jnp.swapaxes(frames, 1, 2))
+            along = np.swapaxes(np.asarray(rates), 1, 2)
+            found["orientation_covariances"] = _in_space(c, along)
             w = posterior.reading(t, _turn)
             found["angular_velocities"] = np.asarray(w.value)
             found["angular_velocity_covariances"] = w.covariance
@@ -292,7 +291,7 @@ def _resolved(source, target, t, y, centres, **options):
     return model
 
 
-def _in_space(covariance, frame):
+def _in_space(covariance, frame) -> np.ndarray:
     return frame @ covariance @ np.swapaxes(frame, 1, 2)
 
 
