@@ -82,6 +82,7 @@ from .manifolds import (
     PlanarShapes as PlanarShapes,
     PointCloud as PointCloud,
     Product as Product,
+    SpecialEuclidean as SpecialEuclidean,
     SpecialOrthogonal as SpecialOrthogonal,
     Sphere as Sphere,
     Stiefel as Stiefel,

@@ -156,8 +156,9 @@ class AbstractSource(eqx.Module):
 
     def product(
         self, around: np.ndarray | None
-    ) -> "Sequence[tuple[AbstractSource, np.ndarray | None]] | None":
-        """The factors of a product, each with the data around it; else None."""
+    ) -> "Sequence[tuple[AbstractSource, np.ndarray | None, float]] | None":
+        """The factors of a product, each with the data around it, in its own unit, and
+        by how much it is scaled; else None."""
         return None
 
     def known_points(self, n: int = 0) -> tuple[np.ndarray, np.ndarray] | None:

@@ -26,10 +26,14 @@ MANIFOLDS = {
     "product": manifolds.Product(
         manifolds.Sphere(2), manifolds.Euclidean(1), manifolds.Cylinder()
     ),
+    "scaled": manifolds.Product(
+        manifolds.Sphere(2), manifolds.Euclidean(1), scales=(0.3, 5.0)
+    ),
     "quartic": manifolds.LevelSet(quartic, 3, reach=0.39),
     "curve": manifolds.LevelSet(two_equations, 3),
     "so2": manifolds.SpecialOrthogonal(2),
     "so3": manifolds.SpecialOrthogonal(3),
+    "se3": manifolds.SpecialEuclidean(3, length=0.4),
     "so4": manifolds.SpecialOrthogonal(4),
     "stiefel": manifolds.Stiefel(4, 2),
     "grassmann": manifolds.Grassmann(4, 2),
@@ -37,4 +41,7 @@ MANIFOLDS = {
     "spd": manifolds.SymmetricPositiveDefinite(3),
     "hyperbolic": manifolds.Hyperbolic(2, 1.5),
     "affine_spd": manifolds.AffineInvariantSPD(2),
+    "own_metrics": manifolds.Product(
+        manifolds.Hyperbolic(2), manifolds.Sphere(2), scales=(2.0, 0.5)
+    ),
 }

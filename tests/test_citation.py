@@ -38,7 +38,7 @@ def test_what_a_fit_used():
 def test_data_choices_and_names():
     poles = mr.datasets.palaeomagnetic_poles("gondwana")
     assert keys(poles, "reml")[2:] == ["torsvik2012phanerozoic", "reml"]
-    assert keys(mr.datasets.polar_wander("africa"))[2:] == ["torsvik2008global"]
+    assert keys(mr.datasets.polar_wander("europe"))[2:] == ["torsvik2008global"]
     assert keys({"a": [mr.AffineInvariantSPD(2)]})[2:] == ["pennec2006riemannian"]
     with pytest.raises(ValueError, match="citation: no entry 'knuth'; there are"):
         mr.citation("knuth")

@@ -1,4 +1,4 @@
-"""The command line: `manireg demo`, `fit`, `path` and `register`."""
+"""The command line: `manireg demo`, `fit`, `path`, `register` and `trajectory`."""
 
 import contextlib
 import os
@@ -14,6 +14,7 @@ from .errors import clean_errors
 from .fit import fit
 from .path import path
 from .register import register
+from .trajectory import trajectory
 
 app = typer.Typer(
     name="manireg",
@@ -28,6 +29,7 @@ app.command()(demo)
 app.command()(fit)
 app.command()(path)
 app.command()(register)
+app.command()(trajectory)
 
 
 def main() -> None:
@@ -44,7 +46,8 @@ def setup(
     """Regression between Riemannian manifolds with the Eells energy.
 
     Start with `manireg demo`, then `manireg fit --help` for tables, `manireg path --help`
-    for palaeomagnetic poles and `manireg register --help` for scanned surfaces.
+    for palaeomagnetic poles, `manireg trajectory --help` for poses over time and `manireg
+    register --help` for scanned surfaces.
     """
     jax.config.update("jax_enable_x64", True)
     # a device a core, to share the folds; too late where JAX has run in this process

@@ -5,6 +5,7 @@ Domains, and whatever can produce one (an interval, a box, a sphere, a scanned s
 can be the source of a regression.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable
 
@@ -201,8 +202,8 @@ def _product_domain(
 ) -> Domain:
     """Product rule: n is shared out so that all factors get about the same spacing."""
     domains = [
-        build(factor, max(4, round(n ** (factor.dim / source.dim))), x)
-        for factor, x in source.product(around) or ()
+        _scaled(build(factor, max(4, round(n ** (factor.dim / source.dim))), x), scale)
+        for factor, x, scale in source.product(around) or ()
     ]
     index = np.stack(
         np.meshgrid(*(np.arange(len(d.points)) for d in domains), indexing="ij"), -1
@@ -218,6 +219,14 @@ def _product_domain(
     points = np.concatenate([d.points for d in picked], axis=1)
     weights = functools.reduce(np.multiply, (d.weights for d in picked))
     return with_second_forms(source, points, frames, weights, order)
+
+
+def _scaled(domain: Domain, scale: float) -> Domain:
+    """Points and weights; what is picked of the rest are frames, orthonormal at any
+    size."""
+    m = domain.frames.shape[2]
+    points, weights = scale * domain.points, scale**m * domain.weights
+    return dataclasses.replace(domain, points=points, weights=weights)
 
 
 def seen_from(source: AbstractSource, domain: Domain) -> Domain:

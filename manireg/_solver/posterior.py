@@ -2,6 +2,7 @@
 10.4)."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -13,8 +14,9 @@ from .._input.numbers import Numbers
 from .._objective.problem import number_of_data
 from .._programs.sizes import at_each
 from .._sources.checks import check_inputs
-from ..manifolds import SpecialOrthogonal, Sphere
+from ..manifolds import Sphere
 from ..manifolds._defaults.frames import tangent_frames
+from ..manifolds._matrices.turns import is_body
 from .at_minimum import AtMinimum, at_minimum
 from .derivatives import check_curve
 from .diagnostics import diagnostics
@@ -23,14 +25,16 @@ from .estimates import Estimate, MotionEstimate
 from .information import ModelInformation
 from .jet_covariances import JetsAt, jets_at, pushed
 from .quantities import (
+    Read,
     in_frame,
     motion,
     slope,
     turn_in_body,
     turn_in_space,
+    twist_in_body,
+    twist_in_space,
     velocity_in_frame,
 )
-from .readings import angular_velocity
 from .regions import Region, conformal_radius, quantile_radius
 from .smoothing import Mixture, Smoothing, mixture_of
 from .spread import Spread
@@ -168,18 +172,37 @@ class Posterior(AbstractSaved):
         return Estimate(velocity.reshape(-1, *shape), covariance, frames)
 
     def angular_velocity(self, x: Numbers, axes: str = "space") -> Estimate:
-        """`angular_velocity` of a curve of rotations, `(q, 3)` in radians per unit of x,
-        about axes of the space or of the body, with its covariances `(q, 3, 3)`.
+        """`angular_velocity` of a curve of rotations or poses, `(q, 3)` in radians per
+        unit of x, about axes of the space or of the body, with its covariances.
 
         **Raises** ValueError for other targets, and names of axes."""
-        target = self.model.target
-        if not isinstance(target, SpecialOrthogonal) or target.point_shape != (3, 3):
-            raise ValueError(
-                "angular_velocity: only of maps into SpecialOrthogonal(3)."
-            )
-        angular_velocity(np.eye(3), np.eye(3), axes)  # raises for other names
+        read = turn_in_body if is_body(axes) else turn_in_space
+        return self._moving(x, read)
+
+    def twist(self, x: Numbers, axes: str = "space") -> Estimate:
+        """Of a curve of poses, `SpecialEuclidean(3)`: angular velocity in radians, then
+        that of the position, both per unit of x and along axes of the space or of the
+        body, `(q, 6)`, with its covariances `(q, 6, 6)`.
+
+        **Raises** ValueError for other targets, and names of axes."""
+        return self._moving(x, twist_in_body if is_body(axes) else twist_in_space)
+
+    def reading(self, x: Numbers, function: Callable) -> Estimate:
+        """A quantity of your own: `function(value, velocity)` of a point on N and the
+        velocity there, both of shape `point_shape`, in JAX; an array of numbers, with its
+        covariance to first order. (A function of the same name that is made anew at every
+        call is compiled anew, too.)
+
+        **Raises** ValueError for sources of dimension 2 or more.
+
+        **Example:** the rate of climb.
+
+            post.reading(t, lambda p, v: v[2:])
+        """
+        return self._moving(x, Read(function))
+
+    def _moving(self, x: Numbers, read: Callable) -> Estimate:
         _, jets, _ = self._values(x, order=1)
-        read = turn_in_space if axes == "space" else turn_in_body
         return Estimate(*self._pushed(read, jets))
 
     def sphere_motion(self, x: Numbers, level: float = 0.95) -> MotionEstimate:

@@ -1,12 +1,15 @@
 """What is read off a jet of Psi: functions of one point, for `jet_covariances.pushed`."""
 
+from collections.abc import Callable
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from .._objective.terms import project_flat
 from ..manifolds._defaults.frames import coordinates
 from .derivatives import tangent_of_curve
-from .readings import angular_velocity, sphere_motion
+from .readings import sphere_motion
 
 
 def slope(target, psi, frame):
@@ -49,13 +52,33 @@ def velocity_in_frame(target, psi, frame):
 
 
 def turn_in_space(target, psi):
-    point = target.project(psi[0].reshape(target.point_shape))
-    return angular_velocity(point, _velocity(target, psi), "space")
+    return target.angular_velocity(*_moving(target, psi), "space")
 
 
 def turn_in_body(target, psi):
-    point = target.project(psi[0].reshape(target.point_shape))
-    return angular_velocity(point, _velocity(target, psi), "body")
+    return target.angular_velocity(*_moving(target, psi), "body")
+
+
+def twist_in_space(target, psi):
+    return target.twist(*_moving(target, psi), "space")
+
+
+def twist_in_body(target, psi):
+    return target.twist(*_moving(target, psi), "body")
+
+
+def _moving(target, psi):
+    """Value and velocity."""
+    return target.project(psi[0].reshape(target.point_shape)), _velocity(target, psi)
+
+
+class Read(eqx.Module):
+    """A user's function of value and velocity. Equal where the function is."""
+
+    function: Callable = eqx.field(static=True)
+
+    def __call__(self, target, psi):
+        return self.function(*_moving(target, psi))
 
 
 def motion(target, psi):

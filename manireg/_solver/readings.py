@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from .._input.numbers import Numbers, as_numbers
 from .._sources.checks import is_concrete
+from ..manifolds._matrices.turns import is_body, turn_rate
 
 
 def angular_velocity(
@@ -38,14 +39,11 @@ def angular_velocity(
     mr.angular_velocity(turn, rate, axes="body")  # 0.0, 0.0, 2.0
     ```
     """
-    if axes not in ("space", "body"):
-        raise ValueError(f'axes: expected "space" or "body", found {axes!r}.')
+    is_body(axes)  # raises for other names
     r = _arrays("rotation", rotation, (3, 3))
     v = _arrays("velocity", velocity, (3, 3))
-    transposed = jnp.swapaxes(r, -1, -2)
-    turn = v @ transposed if axes == "space" else transposed @ v
-    skew = (turn - jnp.swapaxes(turn, -1, -2)) / 2
-    return jnp.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
+    r, v = jnp.broadcast_arrays(r, v)
+    return turn_rate(r, v, axes)
 
 
 class SphereMotion(NamedTuple):

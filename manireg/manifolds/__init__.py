@@ -20,6 +20,7 @@ from ._matrices.affine_invariant_spd import AffineInvariantSPD as AffineInvarian
 from ._matrices.grassmann import Grassmann as Grassmann
 from ._matrices.planar_shapes import PlanarShapes as PlanarShapes
 from ._matrices.spd import SymmetricPositiveDefinite as SymmetricPositiveDefinite
+from ._matrices.special_euclidean import SpecialEuclidean as SpecialEuclidean
 from ._matrices.special_orthogonal import SpecialOrthogonal as SpecialOrthogonal
 from ._matrices.stiefel import Stiefel as Stiefel
 from ._product import Product as Product

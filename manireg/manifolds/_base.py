@@ -123,6 +123,24 @@ class AbstractManifold(AbstractSource):
 
     # As a scan, as a source, as the place of data.
 
+    def angular_velocity(
+        self, p: Float[Array, "..."], v: Float[Array, "..."], axes: str
+    ) -> Float[Array, "... 3"]:
+        """Of a body whose orientation p is or holds, with the derivative v, about axes of
+        the `"body"` or of `"space"`; ValueError where there is none."""
+        raise ValueError(
+            "angular_velocity: only of maps into SpecialOrthogonal(3) or "
+            f"SpecialEuclidean(3), found {type(self).__name__}."
+        )
+
+    def twist(
+        self, p: Float[Array, "..."], v: Float[Array, "..."], axes: str
+    ) -> Float[Array, "... 6"]:
+        """Angular, then linear velocity of a body whose pose p is, likewise."""
+        raise ValueError(
+            f"twist: only of maps into SpecialEuclidean(3), found {type(self).__name__}."
+        )
+
     def nearest(self, p: Float[Array, "... s"]) -> Int[Array, "..."] | None:
         """Which of its patches are near ambient points, flattened; None: it has none."""
         return None

@@ -1,5 +1,7 @@
 """Euclidean space: the flat case, in which manifold regression is spline smoothing."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -61,6 +63,11 @@ class Euclidean(AbstractManifold):
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         return q - p
+
+    def covariant_derivative(
+        self, psi: Sequence[Float[Array, "..."]]
+    ) -> Float[Array, "..."]:
+        return psi[-1]
 
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         return jax.random.normal(key, (n, self.dim))

@@ -90,3 +90,22 @@ def test_polar_wander(tmp_path, data_folder):
     assert found["pointwise, mean over x"] > 0.6
     mueller = [float(row[2]) for row in rows if row[1] == "Müller et al. 2016"]
     assert len(mueller) == 2 and all(0.2 < inside < 0.6 for inside in mueller)
+
+
+@pytest.mark.slow
+def test_trajectory_resumes(tmp_path, data_folder):
+    """Twelve seconds of the flight: better than what goes through the data; a second
+    command finds nothing left to run."""
+    command = [sys.executable, BENCHMARKS / "trajectory.py", "--out", tmp_path]
+    methods = "manireg", "RotationSpline, CubicSpline"
+    cell = ["--seconds", "12", "--seeds", "5", "--methods", *methods]
+    subprocess.run([*command, *cell], check=True)
+    file = tmp_path / "trajectory.csv"
+    before = file.read_text()
+    ours, spline = csv.DictReader(before.splitlines())
+    for name in ("degrees", "cm", "degrees_s", "m_s"):
+        assert float(ours[name]) < 0.8 * float(spline[name])
+    assert 0.85 < float(ours["pose"]) < 1 and 0.85 < float(ours["velocity"]) < 1
+    assert "| manireg |" in (tmp_path / "trajectory.md").read_text()
+    subprocess.run([*command, *cell], check=True)
+    assert file.read_text() == before

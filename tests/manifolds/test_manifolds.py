@@ -32,7 +32,7 @@ from manireg.manifolds._defaults.covariant_derivative import covariant_derivativ
 
 SLOW = (  # to compile
     *("torus", "ellipsoid", "quartic", "curve"),
-    *("so2", "so3", "so4", "stiefel", "shapes", "affine_spd"),
+    *("so2", "so3", "so4", "se3", "stiefel", "shapes", "affine_spd"),
 )
 AXES = np.array([1.0, 1.5, 2.0])
 

@@ -14,6 +14,7 @@ from .matrix_functions import (
     closest_rotation,
     skew_part,
 )
+from .turns import turn_rate
 
 
 class SpecialOrthogonal(AbstractManifold):
@@ -100,6 +101,17 @@ class SpecialOrthogonal(AbstractManifold):
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Haar measure: the closest rotations of Gaussian matrices."""
         return self.project(jax.random.normal(key, (n, self.n, self.n)))
+
+    def angular_velocity(
+        self, p: Float[Array, "..."], v: Float[Array, "..."], axes: str
+    ) -> Float[Array, "... 3"]:
+        """Of rotations of space, n = 3."""
+        if self.n != 3:
+            raise ValueError(
+                f"angular_velocity: only of maps into SpecialOrthogonal(3), found "
+                f"SpecialOrthogonal({self.n})."
+            )
+        return turn_rate(p, v, axes)
 
     def mistake(self, points: np.ndarray) -> tuple[Bool[np.ndarray, " k"], str, str]:
         """Reflections."""
