@@ -27,9 +27,10 @@ def citation(*used: Any) -> str:
     ```
     """
     entries = _entries()
-    keys = dict.fromkeys(ALWAYS)
+    keys = [*ALWAYS]
     for thing in used:
-        keys.update(dict.fromkeys([thing] if isinstance(thing, str) else _named(thing)))
+        keys += [thing] if isinstance(thing, str) else _named(thing)
+    keys = dict.fromkeys(keys)
     unknown = [key for key in keys if key not in entries]
     if unknown:
         raise ValueError(f"citation: no entry {unknown[0]!r}; there are {[*entries]}.")

@@ -9,6 +9,7 @@ import math
 import types
 import zipfile
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -25,26 +26,17 @@ STRUCTURE = "structure"  # name of the entry that holds the JSON
 OURS = "manireg", "equinox", "optimistix", "lineax"  # of which a file may name parts
 
 
-class AbstractSaved(eqx.Module):
-    """What can be written to a file."""
-
-    def save(self, path: str | Path) -> None:
-        """Writes everything to an `.npz` file that `mr.load` reads, bit for bit.
-        Manifolds, sources, terms and functions of your own are not in it: they are given
-        to `mr.load` again.
-
-        **Example:** `model.save("path.npz"); model = mr.load("path.npz")`.
-        """
-        writer = _Writer()
-        structure = {
-            "manireg": importlib.metadata.version("manireg"),
-            "format": FORMAT,
-            "value": writer.encoded(self),
-        }
-        with open(path, "wb") as file:
-            np.savez_compressed(
-                file, **{STRUCTURE: np.array(json.dumps(structure))}, **writer.arrays
-            )
+def save(value: eqx.Module, path: str | Path) -> None:
+    """Writes a value whose class is ours to an `.npz` file."""
+    writer = _Writer()
+    structure = {
+        "manireg": version("manireg"),
+        "format": FORMAT,
+        "value": writer.encoded(value),
+    }
+    arrays: dict[str, Any] = {STRUCTURE: np.array(json.dumps(structure))}
+    with open(path, "wb") as file:
+        np.savez_compressed(file, **arrays | writer.arrays)
 
 
 def load(path: str | Path, *own: Any) -> Any:
@@ -70,14 +62,14 @@ def load(path: str | Path, *own: Any) -> Any:
     try:
         file = np.load(path, allow_pickle=False)
         structure = json.loads(str(file[STRUCTURE]))
-        version = structure["format"]
+        format = structure["format"]
     except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(
             f"load: {path} was not written by manireg's `save`."
         ) from error
-    if version > FORMAT:
+    if format > FORMAT:
         raise ValueError(
-            f"load: {path} has format {version}, written by manireg "
+            f"load: {path} has format {format}, written by manireg "
             f"{structure['manireg']}; this one reads formats up to {FORMAT}. Update it."
         )
     with file:

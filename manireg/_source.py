@@ -54,9 +54,10 @@ class Chart(eqx.Module):
 
     def atlas(self) -> "Atlas":
         """Of this chart alone."""
-        unlabelled = lambda f: None if f is None else Partial(_without_label, f)
-        functions = unlabelled(self.embed), unlabelled(self.metric)
-        return Atlas(self.lower[None], self.upper[None], np.zeros((1, 0)), *functions)
+        embed = Partial(_without_label, self.embed)
+        metric = None if self.metric is None else Partial(_without_label, self.metric)
+        boxes = self.lower[None], self.upper[None], np.zeros((1, 0))
+        return Atlas(*boxes, embed, metric)
 
 
 class Atlas(NamedTuple):

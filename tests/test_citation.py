@@ -29,9 +29,9 @@ def test_what_a_fit_used():
     )
     model = mr.solve(problem, 1.0)
     assert keys(model)[2:] == [
+        "huber1964robust",
         "schweikert1966interpolation",
         "franke1985thin",
-        "huber1964robust",
     ]
 
 

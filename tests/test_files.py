@@ -120,7 +120,14 @@ class Stretched(mr.AbstractManifold):
     unit: jax.Array
     dim = 1
     point_shape = (1,)
-    reach = injectivity_radius = float("inf")
+
+    @property
+    def reach(self):
+        return float("inf")
+
+    @property
+    def injectivity_radius(self):
+        return float("inf")
 
     def project(self, p):
         return p

@@ -11,9 +11,9 @@ from pathlib import Path
 import manireg
 
 FLOORS: Sequence[str] = """
-_cache _citation _input _files _programs _algebra datasets meshes _source manifolds _sources
-_geodesics _discretisation _objective _solver _selection _surfaces baselines plot apps
-__init__ _cli __main__
+_cache _citation _input _files _programs _algebra datasets meshes _source manifolds
+_sources _geodesics _discretisation _objective _solver _selection _surfaces baselines plot
+apps __init__ _cli __main__
 """.split()
 ROOT = Path(manireg.__path__[0])
 FILES = {

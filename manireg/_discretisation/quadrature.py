@@ -97,9 +97,8 @@ def in_charts(chart: Chart | Atlas, order: int, *u: Float[np.ndarray, "Q _"]) ->
     a chart, second forms, the part of D^2[A_a, A_b] that geodesics have, volumes,
     |det A|^-1, and geodesics to that order."""
     points, jacobian, hessian = at_each(to_second_order, chart.embed, *u)
-    if chart.metric is None:
-        frames, triangle = np.linalg.qr(jacobian)
-    else:
+    frames, triangle = np.linalg.qr(jacobian)
+    if chart.metric is not None:
         metric = at_each(_metric, chart.metric, *u)
         triangle = np.swapaxes(np.linalg.cholesky(metric), 1, 2)
     volume = np.abs(np.prod(np.diagonal(triangle, axis1=1, axis2=2), axis=1))

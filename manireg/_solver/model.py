@@ -1,15 +1,17 @@
 """The fitted map."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
 from .._discretisation.local_polynomials import LocalPolynomials
-from .._files import AbstractSaved
+from .._files import save
 from .._input.numbers import Numbers
 from .._input.precision import check_x64
 from .._objective.objective import Energies
@@ -31,7 +33,7 @@ from .smoothing import Smoothing
 from .summary import Summary, data_weights_of, summary_of
 
 
-class RegressionMap(AbstractSaved):
+class RegressionMap(eqx.Module):
     """A fitted map from `source` to `target`: call it on new points."""
 
     source: AbstractSource
@@ -144,6 +146,15 @@ class RegressionMap(AbstractSaved):
         owner = *of_source, self.target, self.coefficients, self.origin
         values = at_covered(function, self.basis, owner, flat)
         return jax.tree.map(lambda v: v[0], values) if single else values
+
+    def save(self, path: str | Path) -> None:
+        """Writes the map, with the problem it was fitted to, to an `.npz` file that
+        `mr.load` reads, bit for bit. Manifolds, sources, terms and functions of your own
+        are not in it: they are given to `mr.load` again.
+
+        **Example:** `model.save("path.npz"); model = mr.load("path.npz")`.
+        """
+        save(self, path)
 
     def summary(self) -> Summary:
         """How it fits the data: what noise was found, how many parameters it took, which

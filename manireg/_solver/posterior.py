@@ -3,13 +3,15 @@
 
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from .._files import AbstractSaved
+from .._files import save
 from .._input.numbers import Numbers
 from .._objective.problem import number_of_data
 from .._programs.sizes import at_each
@@ -43,7 +45,7 @@ from .summary import Summary, summary_of
 DRAWS = 1000  # maps that a band is made of
 
 
-class Posterior(AbstractSaved):
+class Posterior(eqx.Module):
     r"""Of a fitted map, given lambda $w \sim N(\hat w, (2 \hat\sigma^2 / k) H^{-1})$: the
     likelihood is $\exp(-d^2 / 2 \sigma^2)$, the prior $\exp(-k \lambda S / 2 \sigma^2)$,
     and H the Gauss-Newton Hessian of the objective. Averaged over x, regions around the
@@ -159,6 +161,10 @@ class Posterior(AbstractSaved):
         w = np.asarray(self.model.coefficients)
         drawn = jax.device_put([w + d for d in self.mixture.draws(key, m)])
         return [dataclasses.replace(alone, coefficients=d) for d in drawn]
+
+    def save(self, path: str | Path) -> None:
+        """To an `.npz` file that `mr.load` reads, as `RegressionMap.save`."""
+        save(self, path)
 
     def velocity(self, x: Numbers) -> Estimate:
         """`model.velocity(x)`, tangent vectors `(q, *point_shape)` per unit of x, with

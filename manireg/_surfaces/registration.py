@@ -1,11 +1,13 @@
 """What `register` returns: a map between surfaces, vertex by vertex."""
 
+from pathlib import Path
+
 import equinox as eqx
 import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 
-from .._files import AbstractSaved
+from .._files import save
 from .._selection.choice import CrossValidation
 from .._solver.model import RegressionMap
 from ..manifolds._scans.surface import Surface
@@ -14,7 +16,7 @@ from .certify import certificate_of
 from .held_out import HeldOut
 
 
-class Registration(AbstractSaved):
+class Registration(eqx.Module):
     """Where every vertex of the source belongs on the target."""
 
     vertices: Float[np.ndarray, "n 3"]
@@ -37,6 +39,10 @@ class Registration(AbstractSaved):
     the surface."""
     landmark_names: tuple[str, ...] = eqx.field(static=True, default=())
     """Of the pairs fitted, in the order of `landmark_errors`."""
+
+    def save(self, path: str | Path) -> None:
+        """To an `.npz` file that `mr.load` reads, as `RegressionMap.save`."""
+        save(self, path)
 
     @property
     def source_vertices(self) -> Float[np.ndarray, "n 3"]:

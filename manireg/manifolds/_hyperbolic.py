@@ -65,7 +65,7 @@ class Hyperbolic(AbstractManifold):
     @property
     def origin(self) -> Float[Array, " t"]:
         """The tip of the sheet, $(r, 0, \\dots, 0)$."""
-        return self.radius * jnp.eye(1, self.dim + 1)[0]
+        return jnp.zeros(self.dim + 1).at[0].set(self.radius)
 
     def from_ball(self, u: Numbers) -> Float[Array, "..."]:
         r"""Points $\frac{r}{1 - |u|^2} (1 + |u|^2, 2u)$ of Poincare's ball $|u| < 1$,
@@ -82,7 +82,7 @@ class Hyperbolic(AbstractManifold):
                 "inside the unit ball, |u| < 1."
             )
         p = jnp.concatenate([1 + square, 2 * u], axis=-1)
-        return self.radius * p / (1 - square)
+        return jnp.multiply(self.radius, p / (1 - square))
 
     def to_ball(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
         """The inverse of `from_ball`."""
