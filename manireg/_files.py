@@ -36,7 +36,7 @@ def save(value: eqx.Module, path: str | Path) -> None:
     }
     arrays: dict[str, Any] = {STRUCTURE: np.array(json.dumps(structure))}
     with open(path, "wb") as file:
-        np.savez_compressed(file, **arrays | writer.arrays)
+        np.savez_compressed(file, **arrays, **writer.arrays)  # pyright: ignore[reportArgumentType]
 
 
 def load(path: str | Path, *own: Any) -> Any:
