@@ -1,11 +1,12 @@
 """Everything public goes through pickle, deepcopy and into other processes."""
 
 import copy
+import multiprocessing
 import pickle
-import subprocess
-import sys
+from concurrent.futures import ProcessPoolExecutor
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
@@ -54,13 +55,15 @@ def fitted():
     ball = mr.load_surface(BALL)
     vertices = np.asarray(BALL.vertices)
     found = mr.Registration(vertices, model, cv, np.ones(5), None, ball, ball)
-    return {"problem": problem, "model": model, "cv": cv, "found": found}
+    poles = mr.apps.Poles([10.0, 20.0], [-80.0, -70.0], [30.0, 40.0], a95=[5.0, 6.0])
+    fits = {"problem": problem, "model": model, "cv": cv, "found": found}
+    return fits | {"poles": poles}
 
 
 @pytest.mark.parametrize(
     "copied", [copy.deepcopy, lambda a: pickle.loads(pickle.dumps(a))]
 )
-@pytest.mark.parametrize("name", ["problem", "model", "cv", "found"])
+@pytest.mark.parametrize("name", ["problem", "model", "cv", "found", "poles"])
 def test_copies_of_fits(fitted, copied, name):
     same(copied(fitted[name]), fitted[name])
     if name == "model":
@@ -78,21 +81,10 @@ def test_copies_of_a_warp():
     np.testing.assert_array_equal(again(vertices), model(vertices))
 
 
-def test_another_process(fitted, tmp_path):
-    """As a worker of a pool gets it."""
-    path = tmp_path / "model.pkl"
-    path.write_bytes(pickle.dumps(fitted["model"]))
-    code = (
-        "import sys, pickle, jax, numpy as np\n"
-        "jax.config.update('jax_enable_x64', True)\n"
-        f"model = pickle.load(open({str(path)!r}, 'rb'))\n"
-        "np.save(sys.argv[1], model(np.linspace(0, 1, 12)))\n"
-    )
-    run = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "values.npy")],
-        capture_output=True,
-        text=True,
-    )
-    assert run.returncode == 0, run.stderr
-    values = np.load(tmp_path / "values.npy")
+def test_a_worker_that_was_spawned(fitted):
+    """The map itself is what the worker calls."""
+    context = multiprocessing.get_context("spawn")
+    float64 = dict(initializer=jax.config.update, initargs=("jax_enable_x64", True))
+    with ProcessPoolExecutor(1, context, **float64) as pool:
+        values = pool.submit(fitted["model"], X).result()
     np.testing.assert_allclose(values, fitted["model"](X), atol=1e-14)
