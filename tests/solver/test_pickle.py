@@ -6,7 +6,6 @@ import pickle
 from concurrent.futures import ProcessPoolExecutor
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
@@ -81,10 +80,9 @@ def test_copies_of_a_warp():
     np.testing.assert_array_equal(again(vertices), model(vertices))
 
 
-def test_a_worker_that_was_spawned(fitted):
+def test_a_worker_that_was_spawned(fitted, monkeypatch):
     """The map itself is what the worker calls."""
-    context = multiprocessing.get_context("spawn")
-    float64 = dict(initializer=jax.config.update, initargs=("jax_enable_x64", True))
-    with ProcessPoolExecutor(1, context, **float64) as pool:
+    monkeypatch.setenv("JAX_ENABLE_X64", "1")
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         values = pool.submit(fitted["model"], X).result()
     np.testing.assert_allclose(values, fitted["model"](X), atol=1e-14)
