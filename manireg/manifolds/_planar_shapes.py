@@ -236,8 +236,8 @@ class PlanarShapes(AbstractManifold):
     def log(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        r"""$\frac{\theta}{\sin\theta} (w - \cos\theta\, z)$, w turned to z, to rounding for
-        all p, q. For $\theta = \pi/2$ (the cut locus) it is one of the geodesics."""
+        r"""$\frac{\theta}{\sin\theta} (w - \cos\theta\, z)$, w turned to z, to rounding
+        for all p, q. For $\theta = \pi/2$ (the cut locus) it is one of the geodesics."""
         return self.from_orthonormal(p, self.residual(p, q))
 
     def residual(

@@ -11,7 +11,6 @@ from .._base import AbstractManifold
 from .._defaults.logarithm import shooting_log
 from .matrix_exponentials import rotation_exp
 from .matrix_functions import (
-    adjoint,
     polar_factor,
     skew_part,
     symmetric_part,
@@ -73,13 +72,13 @@ class Stiefel(AbstractManifold):
     ) -> Float[Array, "..."]:
         r"""$v - X\,\mathrm{sym}(X^T v)$ with $X = \pi(p)$."""
         x = polar_factor(p)
-        return v - x @ symmetric_part(adjoint(x) @ v)
+        return v - x @ symmetric_part(x.mT @ v)
 
     def second_fundamental_form(
         self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$II_X(U, V) = -X\,\mathrm{sym}(U^T V)$."""
-        return -p @ symmetric_part(adjoint(u) @ v)
+        return -p @ symmetric_part(u.mT @ v)
 
     def squared_distance(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
@@ -92,9 +91,9 @@ class Stiefel(AbstractManifold):
     ) -> Float[Array, "..."]:
         r"""$e^{VX^T - XV^T} X e^{-X^T V}$ (Zimmermann & Hueper, SIAM J. Matrix Anal.
         Appl. 43, 2022, the Euclidean metric of their family)."""
-        inner = skew_part(adjoint(p) @ v)
-        turn = v @ adjoint(p)
-        return rotation_exp(turn - adjoint(turn)) @ p @ rotation_exp(-inner)
+        inner = skew_part(p.mT @ v)
+        turn = v @ p.mT
+        return rotation_exp(turn - turn.mT) @ p @ rotation_exp(-inner)
 
     def log(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
