@@ -6,9 +6,8 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from ..._algebra.smooth import norm_squared
 from .._base import AbstractManifold
-from .._defaults.logarithm import shooting_log
+from .._defaults.logarithm import shooting_log, squared_shooting_distance
 from .matrix_exponentials import rotation_exp
 from .matrix_functions import (
     polar_factor,
@@ -84,7 +83,7 @@ class Stiefel(AbstractManifold):
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$|\log_p q|_F^2$, by shooting: reliable for distances below $\pi$."""
-        return norm_squared(self.log(p, q), 2)
+        return squared_shooting_distance(self, p, q)
 
     def exp(
         self, p: Float[Array, "..."], v: Float[Array, "..."]
