@@ -154,7 +154,7 @@ class PlanarShapes(AbstractManifold):
             z = _turned(z, jnp.sum(jnp.conj(z) * other, axis=-1, keepdims=True))
         return jnp.stack([z.real, z.imag], axis=-1)
 
-    def _basis(self) -> Complex[Array, "k-1 k"]:
+    def _basis(self) -> Complex[Array, "h k"]:
         """Rows $a_j$ of $z_j = a_j \\cdot z$ for centred landmarks z: a reflection of
         Helmert's that takes the reference to the first axis."""
         helmert = _helmert(self.k)
