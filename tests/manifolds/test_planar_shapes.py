@@ -243,8 +243,9 @@ def test_landmarks_in_numbers_of_any_kind(make, offset):
 
 def right_angled():
     """A triangle and one at right angles to it."""
-    z = np.exp(2j * np.pi / 3 * np.arange(3))
-    return [np.stack([w.real, w.imag], axis=-1) for w in (z, z.conj())]
+    angles = 2 * np.pi / 3 * np.arange(3)
+    corners = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return [corners, corners * [1.0, -1.0]]
 
 
 SHAPES = mr.PlanarShapes(TRIANGLE)
