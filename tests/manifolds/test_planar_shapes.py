@@ -168,7 +168,7 @@ def test_paths_of_triangles_are_those_of_the_sphere():
         np.testing.assert_allclose(energies.energy, expected.energies.energy, rtol=1e-5)
         np.testing.assert_allclose(energies.loss, expected.energies.loss, rtol=1e-6)
         axes = model.posterior("known").region(queries).semi_axes
-        np.testing.assert_allclose(np.prod(axes, axis=1), areas, rtol=0.05)
+        np.testing.assert_allclose(np.prod(axes, axis=1), areas, rtol=0.08)
 
 
 @pytest.mark.slow
