@@ -159,7 +159,7 @@ def test_paths_of_triangles_are_those_of_the_sphere():
     expected = mr.fit(INTERVAL, sphere, X, on_sphere(landmarks), 1e-3)
     queries = np.linspace(0, 1, 9)
     areas = np.prod(expected.posterior("known").region(queries).semi_axes, axis=1)
-    for reference in (landmarks, landmarks[0]):
+    for reference, tolerance in ((landmarks, 0.08), (landmarks[0], 0.15)):
         shapes = mr.PlanarShapes(reference)
         model = mr.fit(INTERVAL, shapes, X, shapes.from_landmarks(landmarks), 1e-3)
         path = on_sphere(shapes.to_landmarks(model(queries)))
@@ -168,7 +168,7 @@ def test_paths_of_triangles_are_those_of_the_sphere():
         np.testing.assert_allclose(energies.energy, expected.energies.energy, rtol=1e-5)
         np.testing.assert_allclose(energies.loss, expected.energies.loss, rtol=1e-6)
         axes = model.posterior("known").region(queries).semi_axes
-        np.testing.assert_allclose(np.prod(axes, axis=1), areas, rtol=0.08)
+        np.testing.assert_allclose(np.prod(axes, axis=1), areas, rtol=tolerance)
 
 
 @pytest.mark.slow
