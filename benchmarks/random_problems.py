@@ -42,7 +42,7 @@ TARGETS = {
     "cylinder": mr.Cylinder(),
     "torus": mr.FlatTorus(2),
     "poses": mr.Product(mr.SpecialOrthogonal(3), mr.Euclidean(3)),
-    "shapes": mr.PlanarShapes(3),
+    "shapes": mr.PlanarShapes([[0.0, 0.0], [1.0, 0.1], [0.4, 0.9]]),
     "spd": mr.SymmetricPositiveDefinite(2),
     "big sphere": mr.Sphere(2, radius=1e3),
 }

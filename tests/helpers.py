@@ -37,7 +37,7 @@ MANIFOLDS = {
     "so4": manifolds.SpecialOrthogonal(4),
     "stiefel": manifolds.Stiefel(4, 2),
     "grassmann": manifolds.Grassmann(4, 2),
-    "shapes": manifolds.PlanarShapes(4),
+    "shapes": manifolds.PlanarShapes([[0.0, 0.0], [2.0, 0.3], [1.7, 1.5], [-0.4, 1.1]]),
     "spd": manifolds.SymmetricPositiveDefinite(3),
     "hyperbolic": manifolds.Hyperbolic(2, 1.5),
     "affine_spd": manifolds.AffineInvariantSPD(2),

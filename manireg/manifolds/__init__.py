@@ -18,11 +18,11 @@ from ._laws import check_manifold as check_manifold
 from ._level_set import LevelSet as LevelSet
 from ._matrices.affine_invariant_spd import AffineInvariantSPD as AffineInvariantSPD
 from ._matrices.grassmann import Grassmann as Grassmann
-from ._matrices.planar_shapes import PlanarShapes as PlanarShapes
 from ._matrices.spd import SymmetricPositiveDefinite as SymmetricPositiveDefinite
 from ._matrices.special_euclidean import SpecialEuclidean as SpecialEuclidean
 from ._matrices.special_orthogonal import SpecialOrthogonal as SpecialOrthogonal
 from ._matrices.stiefel import Stiefel as Stiefel
+from ._planar_shapes import PlanarShapes as PlanarShapes
 from ._product import Product as Product
 from ._scans.point_cloud import PointCloud as PointCloud
 from ._sphere import Sphere as Sphere

@@ -6,10 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
-from .._algebra.smooth import norm_squared
 from ._base import AbstractManifold
 from ._defaults.implicit import implicit_solution
-from ._defaults.logarithm import shooting_log
+from ._defaults.logarithm import shooting_log, squared_shooting_distance
 from ._defaults.second_form import broadcast_points, geodesic_exp
 from ._membership import is_concrete
 
@@ -85,7 +84,7 @@ class Ellipsoid(AbstractManifold):
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$|\log_p q|^2$."""
-        return norm_squared(self.log(p, q))
+        return squared_shooting_distance(self, p, q)
 
     def exp(
         self, p: Float[Array, "..."], v: Float[Array, "..."]

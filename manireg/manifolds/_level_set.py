@@ -12,7 +12,7 @@ from .._algebra.small import eigh
 from .._algebra.smooth import norm_squared
 from ._base import AbstractManifold
 from ._defaults.implicit import implicit_solution
-from ._defaults.logarithm import shooting_log
+from ._defaults.logarithm import shooting_log, squared_shooting_distance
 from ._defaults.second_form import broadcast_points, geodesic_exp
 
 _STEP_SIZES = (1.0, 0.5, 0.2, 0.05)  # of Newton steps, tried at once
@@ -132,7 +132,7 @@ class LevelSet(AbstractManifold):
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$|\log_p q|^2$."""
-        return norm_squared(self.log(p, q))
+        return squared_shooting_distance(self, p, q)
 
     def exp(
         self, p: Float[Array, "..."], v: Float[Array, "..."]

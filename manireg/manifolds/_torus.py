@@ -6,10 +6,10 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
-from .._algebra.smooth import norm_squared, off_zero
+from .._algebra.smooth import off_zero
 from .._source import Chart
 from ._base import AbstractManifold
-from ._defaults.logarithm import shooting_log
+from ._defaults.logarithm import shooting_log, squared_shooting_distance
 from ._defaults.second_form import geodesic_exp
 from ._membership import is_concrete
 
@@ -107,7 +107,7 @@ class Torus(AbstractManifold):
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$|\log_p q|^2$."""
-        return norm_squared(self.log(p, q))
+        return squared_shooting_distance(self, p, q)
 
     def exp(
         self, p: Float[Array, "..."], v: Float[Array, "..."]

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from manireg.manifolds import (
     Grassmann,
-    PlanarShapes,
     Product,
     SpecialOrthogonal,
     Sphere,
@@ -32,11 +31,9 @@ MANIFOLDS = {
     "St(5,4)": Stiefel(5, 4),
     "Gr(3,1)": Grassmann(3, 1),
     "Gr(5,2)": Grassmann(5, 2),
-    "shapes(3)": PlanarShapes(3),
-    "shapes(4)": PlanarShapes(4),
     "SPD(3)": SymmetricPositiveDefinite(3),
 }
-FAST = ("SO(3)", "Gr(5,2)", "shapes(4)", "SPD(3)")  # the others: `pytest -m slow`
+FAST = ("SO(3)", "Gr(5,2)", "SPD(3)")  # the others: `pytest -m slow`
 
 
 def over(manifolds):
@@ -100,16 +97,12 @@ def diagonal(*values):
     return np.diag(np.array(values, float))
 
 
-def complex_diagonal(*values):
-    return np.stack([diagonal(*values), 0 * diagonal(*values)])
-
-
 # Projection
 
 
 @pytest.mark.parametrize(
     "manifold",
-    [SpecialOrthogonal(4), Stiefel(4, 2), Grassmann(4, 2), PlanarShapes(4)],
+    [SpecialOrthogonal(4), Stiefel(4, 2), Grassmann(4, 2)],
     ids=repr,
 )
 def test_decompositions_are_not_batched(manifold, key):
@@ -173,8 +166,6 @@ def test_closest_rotation_of_a_reflection(n, gap):
         (Stiefel(4, 2), np.eye(4, 2) * np.array([1.0, 0.0]), 1.0),
         (Grassmann(4, 2), np.eye(4), 2**0.5),
         (Grassmann(3, 1), diagonal(1, 1, 0), 1.0),
-        (PlanarShapes(4), np.zeros((2, 3, 3)), 1.0),
-        (PlanarShapes(4), complex_diagonal(2, 2, 1), 6**0.5),
     ],
 )
 def test_projections_of_the_medial_axis(manifold, p, distance):
@@ -209,15 +200,6 @@ def test_closest_projector_is_that_of_eigh(key):
     vectors = np.linalg.eigh(p + np.swapaxes(p, 1, 2))[1][:, :, 3:]
     y = Grassmann(5, 2).project(jnp.asarray(p))
     np.testing.assert_allclose(y, vectors @ np.swapaxes(vectors, 1, 2), atol=1e-12)
-
-
-def test_closest_shape_is_that_of_complex_eigh(key):
-    p = np.asarray(jax.random.normal(key, (20, 2, 3, 3)))
-    h = p[:, 0] + 1j * p[:, 1]
-    z = np.linalg.eigh(h + np.conj(np.swapaxes(h, 1, 2)))[1][:, :, -1]
-    outer = z[:, :, None] * np.conj(z[:, None, :])
-    y = PlanarShapes(4).project(jnp.asarray(p))
-    np.testing.assert_allclose(y[:, 0] + 1j * y[:, 1], outer, atol=1e-12)
 
 
 @at_point
@@ -261,14 +243,11 @@ def _normal_that_ends_at_the_reach(manifold):
         normal = np.zeros((manifold.n, manifold.p))
         normal[0, 0] = -1.0
         return np.eye(manifold.n, manifold.p), normal
-    rank = manifold.p if isinstance(manifold, Grassmann) else 1
+    rank = manifold.p
     shape = manifold.point_shape[-2:]
     point, normal = np.zeros(shape), np.zeros(shape)
     point[:rank, :rank] = np.eye(rank)
     normal[rank - 1, rank - 1], normal[rank, rank] = -np.sqrt(0.5), np.sqrt(0.5)
-    if isinstance(manifold, PlanarShapes):
-        zero = np.zeros(shape)
-        return np.stack([point, zero]), np.stack([normal, zero])
     return point, normal
 
 
@@ -439,12 +418,6 @@ CUTS = {  # points p, q of the cut locus of each other, and their distance over 
         PLANE[:, 1:3] @ PLANE[:, 1:3].T,
         0.5,
     ),
-    "shapes(4)": (
-        PlanarShapes(4),
-        complex_diagonal(1, 0, 0),
-        complex_diagonal(0, 0, 1),
-        0.5,
-    ),
 }
 
 
@@ -494,13 +467,6 @@ def test_distances_agree_with_independent_formulas(key):
         angles = scipy.linalg.subspace_angles(*frames)
         ours = Grassmann(n, rank).squared_distance(jnp.asarray(p), jnp.asarray(q))
         assert float(ours) == pytest.approx(2 * np.sum(angles**2))
-    shapes = PlanarShapes(5)
-    x, y = np.asarray(jax.random.normal(keys[4], (2, 5, 2)))
-    z, w = (a[:, 0] + 1j * a[:, 1] for a in (x, y))
-    z, w = z - z.mean(), w - w.mean()
-    cosine = abs(np.vdot(z, w)) / np.linalg.norm(z) / np.linalg.norm(w)
-    ours = shapes.squared_distance(shapes.from_landmarks(x), shapes.from_landmarks(y))
-    assert float(ours) == pytest.approx(2 * np.arccos(cosine) ** 2)
 
 
 def test_one_frame_vector_is_the_sphere(key):
@@ -551,9 +517,7 @@ def test_hessian_of_the_loss_at_coincidence_is_twice_the_metric(manifold, key):
     np.testing.assert_allclose(hessian, 2 * metric, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "manifold", [SpecialOrthogonal(3), Grassmann(4, 1), PlanarShapes(4)], ids=str
-)
+@pytest.mark.parametrize("manifold", [SpecialOrthogonal(3), Grassmann(4, 1)], ids=str)
 def test_distance_stays_finite_at_the_cut_locus(manifold, key):
     keys = jax.random.split(key)
     p = manifold.random_points(keys[0], 1)[0]
@@ -600,7 +564,6 @@ def test_batches_broadcast(manifold, key):
         (SpecialOrthogonal(4), np.zeros((4, 4))),
         (Stiefel(4, 2), np.zeros((4, 2))),
         (Grassmann(5, 2), 0.4 * np.eye(5)),
-        (PlanarShapes(4), np.stack([np.eye(3) / 3, np.zeros((3, 3))])),
     ],
     ids=str,
 )
@@ -620,94 +583,6 @@ def test_random_rotations_have_the_angles_of_the_haar_measure(key):
     angle = np.sort(np.arccos(np.clip(cosine, -1, 1)))
     uniform = (angle - np.sin(angle)) / np.pi  # its distribution function
     assert np.max(np.abs(uniform - (np.arange(4000) + 0.5) / 4000)) < 0.03
-
-
-# Landmarks
-
-
-def test_shapes_forget_position_size_and_rotation_but_not_reflection(key):
-    shapes = PlanarShapes(6)
-    x = np.asarray(jax.random.normal(key, (6, 2)))
-    turn = Rotation.from_euler("z", 2.0).as_matrix()[:2, :2]
-    p = shapes.from_landmarks(x)
-    moved = shapes.from_landmarks(3.0 * x @ turn.T + [5.0, -1.0])
-    np.testing.assert_allclose(p, moved, atol=1e-14)
-    np.testing.assert_allclose(shapes.project(p), p, atol=1e-14)
-    mirrored = shapes.from_landmarks(x * np.array([1.0, -1.0]))
-    assert jnp.max(jnp.abs(p - mirrored)) > 0.1
-
-
-def test_landmarks_come_back_in_the_documented_position(key):
-    shapes = PlanarShapes(5)
-    x = np.asarray(jax.random.normal(key, (4, 5, 2)))
-    p = shapes.from_landmarks(x)
-    centred = x - x.mean(axis=1, keepdims=True)
-    centred /= np.sqrt(np.sum(centred**2, axis=(1, 2), keepdims=True))
-    np.testing.assert_allclose(shapes.to_landmarks(p, x), centred, atol=1e-13)
-    y = np.asarray(shapes.to_landmarks(p))
-    edge = y[:, 1] - y[:, 0]
-    assert np.all(edge[:, 0] > 0)
-    np.testing.assert_allclose(edge[:, 1], 0.0, atol=1e-14)
-    np.testing.assert_allclose(shapes.from_landmarks(y), p, atol=1e-13)
-    # One reference for all: no other rotation fits it better.
-    reference = 7.0 * x[0] + 1.0
-    target = reference - reference.mean(axis=0)
-    fitted = np.asarray(shapes.to_landmarks(p, reference))
-    np.testing.assert_allclose(shapes.from_landmarks(fitted), p, atol=1e-13)
-    angles = np.linspace(0.0, 2 * np.pi, 100)
-    turns = Rotation.from_rotvec(angles[:, None] * [0, 0, 1]).as_matrix()[:, :2, :2]
-    turned = np.einsum("aij,ckj->acki", turns, fitted)
-    misfit = np.sum((turned - target) ** 2, axis=(-2, -1))
-    assert np.all(misfit >= misfit[0] - 1e-12)
-    assert np.all(np.max(misfit, axis=0) > misfit[0] + 0.1)
-
-
-def test_landmarks_follow_their_shape_smoothly(key):
-    shapes = PlanarShapes(4)
-    x = jax.random.normal(key, (4, 2))
-    p = shapes.from_landmarks(x)
-    v = tangent(shapes, jax.random.key(1), p)
-
-    def path(t):
-        return shapes.to_landmarks(shapes.exp(p, t * v), x)
-
-    velocity = jax.jvp(path, (0.0,), (1.0,))[1]
-    np.testing.assert_allclose(velocity, derivative(path, 1), atol=1e-9)
-    # horizontal lift: |dz|^2 = |v|^2 / 2
-    assert float(jnp.sum(velocity**2)) == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize("offset", [0.0, 1e7])
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda x: x.astype(int),
-        lambda x: x.astype(np.uint16),
-        lambda x: x.astype(np.float32),
-        lambda x: x.astype(object),
-        lambda x: [list(map(list, shape)) for shape in x],
-        lambda x: np.ma.masked_array(x, mask=False),
-        lambda x: jnp.asarray(x),
-    ],
-    ids=["int", "uint16", "float32", "object", "lists", "masked", "jax"],
-)
-def test_landmarks_in_numbers_of_any_kind(make, offset):
-    """Pixels, and pixels of a large picture."""
-    pixels = np.array([[[120, 40], [300, 55], [210, 260]]] * 2, float)
-    pixels[1, 2] = [97, 3]
-    z = pixels[..., 0] + 1j * pixels[..., 1]
-    z = z - z.mean(axis=1, keepdims=True)
-    helmert = np.array([[-1, 1, 0], [-1, -1, 2]]) / np.sqrt([[2], [6]])
-    z = z @ helmert.T
-    outer = z[:, :, None] * z[:, None].conj() / np.sum(abs(z) ** 2, 1)[:, None, None]
-    shapes = PlanarShapes(3)
-    p = shapes.from_landmarks(make(pixels))
-    assert p.dtype == jnp.float64
-    np.testing.assert_allclose(p[:, 0] + 1j * p[:, 1], outer, atol=1e-14)
-    moved = shapes.from_landmarks(pixels + offset)
-    np.testing.assert_allclose(moved, p, atol=1e-14)
-    fitted = shapes.to_landmarks(p, make(pixels))
-    np.testing.assert_allclose(shapes.from_landmarks(fitted), p, atol=1e-14)
 
 
 # Positive definite matrices
@@ -788,22 +663,7 @@ def test_derivatives_of_the_logarithm_at_repeated_eigenvalues(values, key):
         (lambda: Stiefel(3, 4), "found p = 4, n = 3"),
         (lambda: Stiefel(3, 0), "found p = 0, n = 3"),
         (lambda: Grassmann(3, 3), "found p = 3, n = 3"),
-        (lambda: PlanarShapes(2), "at least 3 landmarks, found 2"),
         (lambda: SymmetricPositiveDefinite(0), "`n` must be at least 1, found 0"),
-        (lambda: PlanarShapes(3).from_landmarks(np.zeros((3, 3))), r"\(3, 3\)"),
-        (lambda: PlanarShapes(3).from_landmarks(np.ones((3, 2))), "coincide"),
-        (
-            lambda: PlanarShapes(3).from_landmarks(
-                np.stack([np.eye(3, 2), np.full((3, 2), 5e5 + 0.1)])
-            ),
-            "1 of 2 .*index 1",
-        ),
-        (
-            lambda: PlanarShapes(3).from_landmarks(
-                np.ma.masked_equal(np.arange(12.0).reshape(2, 3, 2), 8.0)
-            ),
-            "`landmarks`.* masked .*index 1",
-        ),
         (
             lambda: SymmetricPositiveDefinite(2).from_matrices(
                 np.ma.masked_equal(np.stack([np.eye(2), 9 * np.eye(2)]), 9.0)

@@ -50,7 +50,7 @@ TARGETS = {
         lambda s: mr.Product(mr.SpecialOrthogonal(3), mr.Euclidean(3)),
         [0.0] * 9 + [1.0, 2.0, -1.0],
     ),
-    "Shapes": (lambda s: mr.PlanarShapes(3), None),
+    "Shapes": (lambda s: mr.PlanarShapes([[0.0, 0.0], [1.0, 0.1], [0.4, 0.9]]), None),
     "Grassmann": (lambda s: mr.Grassmann(3, 1), None),
 }
 SCALED = ("Euclidean", "Sphere", "Circle", "Cylinder", "FlatTorus", "SPD")

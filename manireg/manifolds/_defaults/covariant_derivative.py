@@ -17,7 +17,7 @@ def covariant_derivative(
     gamma = derivatives_along(manifold.project, p)(*psi)
     if p == 1:
         return gamma[1]
-    if p == 2:
+    if p == 2 and manifold.isometric:
         return manifold.tangent_projection(psi[0], gamma[2])
     form = manifold.second_fundamental_form
     derivative = lambda y, dy, ddy: ddy - form(y, dy, dy)

@@ -100,6 +100,39 @@ def _shoot_jvp(primals, tangents):
     return v, turn + x.reshape(shape)
 
 
+@eqx.filter_jit
+def squared_shooting_distance(
+    manifold: AbstractManifold, p: Float[Array, "..."], q: Float[Array, "..."]
+) -> Float[Array, "..."]:
+    """The squared length of `shooting_log`, of points on the manifold."""
+    p, q = jnp.broadcast_arrays(p, q)
+    distance = eqx.Partial(_squared_length, manifold)
+    for _ in range(p.ndim - len(manifold.point_shape)):
+        distance = jax.vmap(distance)
+    return distance(p, q)
+
+
+@eqx.filter_custom_jvp
+def _squared_length(manifold: AbstractManifold, p: Array, q: Array) -> Array:
+    return jnp.sum(_shoot(manifold, p, q) ** 2)
+
+
+@_squared_length.def_jvp
+def _squared_length_jvp(primals, tangents):
+    """The first variation: the gradient at q is -2 log(q, p). One derivative of the
+    shooting less."""
+    manifold, p, q = primals
+    dmanifold, *moves = tangents
+    if jax.tree.leaves(dmanifold):
+        length = lambda *args: jnp.sum(_shoot(*args) ** 2)
+        return eqx.filter_jvp(length, primals, tangents)
+    change = jnp.zeros((), p.dtype)
+    for here, there, move in ((p, q, moves[0]), (q, p, moves[1])):
+        if move is not None:
+            change = change - 2 * jnp.sum(_shoot(manifold, here, there) * move)
+    return _squared_length(manifold, p, q), change
+
+
 def relaxed_curve(manifold: AbstractManifold, p: Array, q: Array) -> Array:
     """The shortest `(9, *point_shape)` of a few discrete curves from p to q, relaxed from
     the chord and from bent chords (those pass holes otherwise)."""

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .matrix_exponentials import symmetric_exp, symmetric_log
-from .matrix_functions import adjoint, matmul, symmetric_part
+from .matrix_functions import symmetric_part
 from .spd import AbstractPositiveDefinite
 
 
@@ -80,7 +80,7 @@ class AffineInvariantSPD(AbstractPositiveDefinite):
     ) -> Float[Array, "..."]:
         p, c = jnp.broadcast_arrays(symmetric_part(p), symmetric_part(c))
         root, _ = _roots(p)
-        matrix, change = matmul(root, root), _between(root, c)
+        matrix, change = root @ root, _between(root, c)
         return jax.jvp(symmetric_log, (matrix,), (change,))[1]
 
     def residual(
@@ -109,8 +109,8 @@ def _covariant(f: Callable) -> Callable:
     def derivative(*rows):
         b, change = jax.jvp(f, rows[:-1], rows[1:])
         turn = _turn(rows[0], rows[1])
-        around = matmul(turn - adjoint(turn), b) / 2
-        return change + around + adjoint(around)
+        around = ((turn - turn.mT) @ b) / 2
+        return change + around + around.mT
 
     return derivative
 
@@ -119,7 +119,7 @@ def _turn(p: Float[Array, "..."], v: Float[Array, "..."]) -> Float[Array, "..."]
     r"""$\theta = S^{-1/2} (S^{1/2})'$ of $\dot L$ = v."""
     p, v = symmetric_part(p), symmetric_part(v)
     (_, inverse), (change, _) = jax.jvp(_roots, (p,), (v,))
-    return matmul(inverse, change)
+    return inverse @ change
 
 
 def _roots(p: Float[Array, "..."]) -> tuple[Array, Array]:
@@ -130,4 +130,4 @@ def _roots(p: Float[Array, "..."]) -> tuple[Array, Array]:
 
 def _between(a: Float[Array, "..."], s: Float[Array, "..."]) -> Float[Array, "..."]:
     """a s a, symmetric."""
-    return symmetric_part(matmul(matmul(a, s), a))
+    return symmetric_part(a @ s @ a)

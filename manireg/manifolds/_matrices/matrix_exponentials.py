@@ -19,10 +19,8 @@ from ..._algebra.smooth import (
 from .lines import leading_vector
 from .matrix_functions import (
     Eigen,
-    adjoint,
     closest_rotation,
     identity_like,
-    matmul,
     skew_part,
     symmetric_part,
 )
@@ -115,10 +113,10 @@ def _log_of_large(q: Float[Array, "..."]) -> Float[Array, "..."]:
     values, vectors = eigh(jax.lax.stop_gradient(symmetric_part(q)))
     pairs = vectors[..., : q.shape[-1] // 2 * 2]
     first, second = pairs[..., ::2], pairs[..., 1::2]
-    planes = second @ adjoint(first) - first @ adjoint(second)
+    planes = second @ first.mT - first @ second.mT
     half_turn = values[..., :1, None] < _HALF_TURN
     w = log_by_halves(q, jnp.where(half_turn, _NUDGE * planes, 0.0))
-    excess = skew_part(adjoint(rotation_exp(w)) @ q)
+    excess = skew_part(rotation_exp(w).mT @ q)
     return w + jnp.where(half_turn, excess, 0.0)
 
 
@@ -137,7 +135,7 @@ def log_by_halves(
     for _ in range(_HALVINGS - 1):
         q = closest_rotation(one + q)
     k = skew_part(jnp.linalg.solve(one + q, q - one))
-    negative_square = adjoint(k) @ k
+    negative_square = k.mT @ k
     total = _ATAN_SERIES[-1] * one
     for a in _ATAN_SERIES[-2::-1]:
         total = total @ negative_square + a * one
@@ -151,7 +149,7 @@ def squared_rotation_distance(
     is $2 F(|p - q|_F^2 / 2)$."""
     if p.shape[-1] <= 3:
         return 2 * squared_angle(norm_squared(p - q, 2) / 2)
-    return norm_squared(log_by_halves(adjoint(p) @ q), 2)
+    return norm_squared(log_by_halves(p.mT @ q), 2)
 
 
 def symmetric_log(s: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -166,7 +164,7 @@ def _log(s: Float[Array, "..."]) -> tuple[Float[Array, "..."], Eigen]:
     """With its own eigenvalues and eigenvectors."""
     values, vectors = eigh(s)
     values = jnp.log(values)
-    return matmul(vectors * values[..., None, :], adjoint(vectors)), (values, vectors)
+    return (vectors * values[..., None, :]) @ vectors.mT, (values, vectors)
 
 
 @_log.defjvp
@@ -187,8 +185,8 @@ def _from_exponential(
     divided = jnp.exp(mean) * cosh_sinhc(half**2)[1]
 
     def solve(_, k):
-        inside = matmul(matmul(adjoint(vectors), k), vectors) / divided
-        return matmul(matmul(vectors, inside), adjoint(vectors))
+        inside = (vectors.mT @ k @ vectors) / divided
+        return vectors @ inside @ vectors.mT
 
     forward = lambda x: jax.jvp(symmetric_exp, (log,), (x,))[1]
     return jax.lax.custom_linear_solve(forward, k, solve, symmetric=True)

@@ -12,62 +12,41 @@ import math
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Inexact
+from jaxtyping import Array, Float
 
 from ..._algebra.small import eigh, svd
 from ..._algebra.smooth import norm_squared
 
 
-def adjoint(a: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
-    """Conjugate transpose of the last two axes."""
-    return jnp.conj(jnp.swapaxes(a, -1, -2))
+def symmetric_part(a: Float[Array, "..."]) -> Float[Array, "..."]:
+    return (a + a.mT) / 2
 
 
-def symmetric_part(a: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
-    return (a + adjoint(a)) / 2
+def skew_part(a: Float[Array, "..."]) -> Float[Array, "..."]:
+    return (a - a.mT) / 2
 
 
-def skew_part(a: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
-    return (a - adjoint(a)) / 2
-
-
-def matmul(a: Inexact[Array, "..."], b: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
-    """a @ b. Small complex ones term by term: for their `dot` XLA calls a library once a
-    matrix, seven times the work on a CPU."""
-    if not jnp.iscomplexobj(a) or max(a.shape[-1], b.shape[-1]) > 12:
-        return a @ b
-    return jnp.sum(a[..., :, :, None] * b[..., None, :, :], axis=-2)
-
-
-def identity_like(a: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
+def identity_like(a: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.broadcast_to(jnp.eye(a.shape[-1], dtype=a.dtype), a.shape)
 
 
-Eigen = tuple[Float[Array, "..."], Inexact[Array, "..."]]
-"""Eigenvalues and eigenvectors of a Hermitian matrix."""
+Eigen = tuple[Float[Array, "..."], Float[Array, "..."]]
+"""Eigenvalues and eigenvectors of a symmetric matrix."""
 
 
 def lyapunov(
-    s: Inexact[Array, "..."], eigen: Eigen, k: Inexact[Array, "..."]
-) -> Inexact[Array, "..."]:
-    """X with s X + X s = k, for Hermitian s without opposite eigenvalues. A linear solve
+    s: Float[Array, "..."], eigen: Eigen, k: Float[Array, "..."]
+) -> Float[Array, "..."]:
+    """X with s X + X s = k, for symmetric s without opposite eigenvalues. A linear solve
     to JAX, so that `eigen`, of s, is never differentiated."""
-
-    def solve(vectors, k):
-        sums = values[..., :, None] + values[..., None, :]
-        # A zero sum of an eigenvalue with itself meets a zero of k (skew k): 0/1, not 0/0
-        sums = jnp.where(sums == 0.0, 1.0, sums)
-        x = matmul(matmul(adjoint(vectors), k), vectors) / sums
-        return matmul(matmul(vectors, x), adjoint(vectors))
-
     values, vectors = jax.lax.stop_gradient(eigen)
+    sums = values[..., :, None] + values[..., None, :]
+    # A zero sum of an eigenvalue with itself meets a zero of k (skew k): 0/1, not 0/0
+    sums = jnp.where(sums == 0.0, 1.0, sums)
+    solve = lambda _, k: vectors @ ((vectors.mT @ k @ vectors) / sums) @ vectors.mT
     s, k = jnp.broadcast_arrays(s, k)
-    return jax.lax.custom_linear_solve(
-        lambda x: matmul(s, x) + matmul(x, s),
-        k,
-        solve=lambda _, k: solve(vectors, k),
-        transpose_solve=lambda _, k: solve(jnp.conj(vectors), k),
-    )
+    forward = lambda x: s @ x + x @ s
+    return jax.lax.custom_linear_solve(forward, k, solve, symmetric=True)
 
 
 def _symmetric_solve(
@@ -75,10 +54,8 @@ def _symmetric_solve(
 ) -> Float[Array, "..."]:
     """X with s X = k for symmetric s, in the same way."""
     values, vectors = jax.lax.stop_gradient(eigen)
-    solve = lambda _, k: matmul(
-        vectors, matmul(adjoint(vectors), k) / values[..., :, None]
-    )
-    return jax.lax.custom_linear_solve(lambda x: matmul(s, x), k, solve, symmetric=True)
+    solve = lambda _, k: vectors @ ((vectors.mT @ k) / values[..., :, None])
+    return jax.lax.custom_linear_solve(lambda x: s @ x, k, solve, symmetric=True)
 
 
 def _skew_lyapunov(
@@ -96,7 +73,7 @@ def _skew_lyapunov(
     a, b, c = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     d, e, f = m[..., 1, 2], m[..., 0, 2], m[..., 0, 1]
     det = a * b * c + 2 * d * e * f - a * d**2 - b * e**2 - c * f**2
-    return matmul(matmul(m, k), m) / det[..., None, None]
+    return m @ k @ m / det[..., None, None]
 
 
 def _polar_tangent(
@@ -108,14 +85,14 @@ def _polar_tangent(
     r"""Derivative of the factor y in p = y s, y with orthonormal columns, s symmetric:
     $dy = y\Omega + (I - yy^T)\, dp\, s^{-1}$ with
     $s\Omega + \Omega s = y^T dp - dp^T y$. `eigen`, of s, may be None for n = 3."""
-    s = symmetric_part(matmul(adjoint(y), p))
-    inner = matmul(adjoint(y), dp)
-    dy = matmul(y, _skew_lyapunov(s, eigen, inner - adjoint(inner)))
+    s = symmetric_part(y.mT @ p)
+    inner = y.mT @ dp
+    dy = y @ _skew_lyapunov(s, eigen, inner - inner.mT)
     if y.shape[-2] == y.shape[-1]:
         return dy
     assert eigen is not None
-    normal = dp - matmul(y, inner)
-    return dy + adjoint(_symmetric_solve(s, eigen, adjoint(normal)))
+    normal = dp - y @ inner
+    return dy + _symmetric_solve(s, eigen, normal.mT).mT
 
 
 def polar_factor(p: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -127,7 +104,7 @@ def polar_factor(p: Float[Array, "..."]) -> Float[Array, "..."]:
 @jax.custom_jvp
 def _polar(p):
     u, values, vt = svd(p)
-    return matmul(u, vt), (values, adjoint(vt))
+    return u @ vt, (values, vt.mT)
 
 
 @_polar.defjvp
@@ -167,11 +144,9 @@ def _foam(p: Float[Array, "..."]) -> Float[Array, "..."]:
     kappa = (root**2 - 1.0) / 2
     scale = (kappa * root - det)[..., None, None]
     kappa, root = kappa[..., None, None], root[..., None, None]
-    y = (
-        (kappa + 1.0) * p + root * cofactors - matmul(matmul(p, adjoint(p)), p)
-    ) / scale
+    y = ((kappa + 1.0) * p + root * cofactors - p @ p.mT @ p) / scale
     for _ in range(2):  # removes the rounding from y^T y - I
-        y = 1.5 * y - 0.5 * matmul(matmul(y, adjoint(y)), y)
+        y = 1.5 * y - 0.5 * (y @ y.mT @ y)
     lost = scale < _FEW_DIGITS
     by_svd = lambda: jnp.where(lost, _rotation_by_svd(original)[0], y)
     return jax.lax.cond(jnp.any(lost), by_svd, lambda: y)
@@ -189,7 +164,7 @@ def _rotation_by_svd(p: Float[Array, "..."]) -> tuple[Float[Array, "..."], Eigen
     u, values, vt = svd(p)
     sign = jnp.sign(jnp.linalg.det(u @ vt))[..., None]
     signs = jnp.concatenate([jnp.ones_like(values[..., 1:]), sign], axis=-1)
-    return (u * signs[..., None, :]) @ vt, (values * signs, adjoint(vt))
+    return (u * signs[..., None, :]) @ vt, (values * signs, vt.mT)
 
 
 def closest_rotation(p: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -214,9 +189,9 @@ def _rotation_jvp(primals, tangents):
     return (y, eigen), (dy, _constant(eigen))
 
 
-def top_eigenprojector(s: Inexact[Array, "..."], rank: int) -> Inexact[Array, "..."]:
+def top_eigenprojector(s: Float[Array, "..."], rank: int) -> Float[Array, "..."]:
     r"""Orthogonal projector on the span of the `rank` leading eigenvectors of the
-    Hermitian s; one of several where $\lambda_\mathrm{rank} =
+    symmetric s; one of several where $\lambda_\mathrm{rank} =
     \lambda_{\mathrm{rank}+1}$."""
     return _top(s, rank)[0]
 
@@ -225,7 +200,7 @@ def top_eigenprojector(s: Inexact[Array, "..."], rank: int) -> Inexact[Array, ".
 def _top(s, rank):
     values, vectors = eigh(s)
     leading = vectors[..., -rank:]
-    return matmul(leading, adjoint(leading)), (values, vectors)
+    return leading @ leading.mT, (values, vectors)
 
 
 @_top.defjvp
@@ -238,17 +213,15 @@ def _top_jvp(rank, primals, tangents):
     n = s.shape[-1]
     middle = (values[..., n - rank] + values[..., n - rank - 1]) / 2
     one = identity_like(s)
-    shifted = s - middle[..., None, None].astype(s.dtype) * one
-    m = symmetric_part(matmul(2 * y - one, shifted))
+    shifted = s - middle[..., None, None] * one
+    m = symmetric_part((2 * y - one) @ shifted)
     eigen_of_m = jnp.abs(values - middle[..., None]), vectors
     dy = lyapunov(m, eigen_of_m, off_diagonal(y, ds))
     return (y, eigen), (dy, _constant(eigen))
 
 
-def off_diagonal(
-    y: Inexact[Array, "..."], v: Inexact[Array, "..."]
-) -> Inexact[Array, "..."]:
-    """y v (I - y) + (I - y) v y: the projection of a Hermitian v on the tangent space
+def off_diagonal(y: Float[Array, "..."], v: Float[Array, "..."]) -> Float[Array, "..."]:
+    """y v (I - y) + (I - y) v y: the projection of a symmetric v on the tangent space
     of the projectors at y."""
-    yv = matmul(y, v)
-    return yv + matmul(v, y) - 2 * matmul(yv, y)
+    yv = y @ v
+    return yv + v @ y - 2 * (yv @ y)

@@ -10,7 +10,6 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from .._base import AbstractManifold
 from .matrix_exponentials import rotation_exp, rotation_log, squared_rotation_distance
 from .matrix_functions import (
-    adjoint,
     closest_rotation,
     skew_part,
 )
@@ -67,13 +66,13 @@ class SpecialOrthogonal(AbstractManifold):
     ) -> Float[Array, "..."]:
         r"""$R\,\mathrm{skew}(R^T v)$ with $R = \pi(p)$."""
         r = closest_rotation(p)
-        return r @ skew_part(adjoint(r) @ v)
+        return r @ skew_part(r.mT @ v)
 
     def second_fundamental_form(
         self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$II_R(RA, RB) = R(AB + BA)/2$ for skew A, B."""
-        return (u @ adjoint(p) @ v + v @ adjoint(p) @ u) / 2
+        return (u @ p.mT @ v + v @ p.mT @ u) / 2
 
     def squared_distance(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
@@ -88,7 +87,7 @@ class SpecialOrthogonal(AbstractManifold):
         self, p: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$p \exp(p^T v)$."""
-        return p @ rotation_exp(skew_part(adjoint(p) @ v))
+        return p @ rotation_exp(skew_part(p.mT @ v))
 
     def log(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
@@ -96,7 +95,7 @@ class SpecialOrthogonal(AbstractManifold):
         r"""$p \log(p^T q)$, to rounding for all p, q (n > 3: to 1e-8 where a rotation
         angle of $p^T q$ is next to $\pi$). For half turns (the cut locus) it is one of
         the geodesics."""
-        return p @ rotation_log(adjoint(p) @ q)
+        return p @ rotation_log(p.mT @ q)
 
     def random_points(self, key: PRNGKeyArray, n: int) -> Float[Array, "n ..."]:
         """Haar measure: the closest rotations of Gaussian matrices."""

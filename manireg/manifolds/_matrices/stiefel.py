@@ -6,12 +6,10 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from ..._algebra.smooth import norm_squared
 from .._base import AbstractManifold
-from .._defaults.logarithm import shooting_log
+from .._defaults.logarithm import shooting_log, squared_shooting_distance
 from .matrix_exponentials import rotation_exp
 from .matrix_functions import (
-    adjoint,
     polar_factor,
     skew_part,
     symmetric_part,
@@ -73,28 +71,28 @@ class Stiefel(AbstractManifold):
     ) -> Float[Array, "..."]:
         r"""$v - X\,\mathrm{sym}(X^T v)$ with $X = \pi(p)$."""
         x = polar_factor(p)
-        return v - x @ symmetric_part(adjoint(x) @ v)
+        return v - x @ symmetric_part(x.mT @ v)
 
     def second_fundamental_form(
         self, p: Float[Array, "..."], u: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$II_X(U, V) = -X\,\mathrm{sym}(U^T V)$."""
-        return -p @ symmetric_part(adjoint(u) @ v)
+        return -p @ symmetric_part(u.mT @ v)
 
     def squared_distance(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$|\log_p q|_F^2$, by shooting: reliable for distances below $\pi$."""
-        return norm_squared(self.log(p, q), 2)
+        return squared_shooting_distance(self, p, q)
 
     def exp(
         self, p: Float[Array, "..."], v: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         r"""$e^{VX^T - XV^T} X e^{-X^T V}$ (Zimmermann & Hueper, SIAM J. Matrix Anal.
         Appl. 43, 2022, the Euclidean metric of their family)."""
-        inner = skew_part(adjoint(p) @ v)
-        turn = v @ adjoint(p)
-        return rotation_exp(turn - adjoint(turn)) @ p @ rotation_exp(-inner)
+        inner = skew_part(p.mT @ v)
+        turn = v @ p.mT
+        return rotation_exp(turn - turn.mT) @ p @ rotation_exp(-inner)
 
     def log(
         self, p: Float[Array, "..."], q: Float[Array, "..."]
