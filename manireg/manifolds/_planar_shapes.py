@@ -67,6 +67,8 @@ class PlanarShapes(AbstractManifold):
     ```
     """
 
+    references = ("kendall1984shape",)
+
     reference: Float[Array, "k 2"]
 
     def __init__(self, reference: Numbers):
