@@ -41,7 +41,9 @@ def methods(source: mr.Interval, counts) -> dict[str, Callable]:
     }
     named = {
         "spheresmooth, knots and lambda by its BIC": counts,
-        f"spheresmooth, {EXAMPLE} knots as in its example, lambda by its BIC": (EXAMPLE,),
+        f"spheresmooth, {EXAMPLE} knots as in its example, lambda by its BIC": (
+            EXAMPLE,
+        ),
     }
     theirs = {name: partial(geodesic_spline, counts=c) for name, c in named.items()}
     return ours | theirs
@@ -94,7 +96,9 @@ def of_running_means() -> str:
         apart = angles(path, means)
         values = apart.mean(), np.sqrt(np.mean(apart**2)), apart.max()
         cells = [name, *(f"{v:.2f}" for v in values)]
-        cells += [f"{v:.0f}" for v in (angles(path[1:], path[:-1]).sum(), turning(path))]
+        cells += [
+            f"{v:.0f}" for v in (angles(path[1:], path[:-1]).sum(), turning(path))
+        ]
         rows.append("| " + " | ".join([*cells, knots.get(name, "")]) + " |")
     return "\n".join(
         [
@@ -122,8 +126,8 @@ def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def turning(path: np.ndarray) -> float:
-    """The sum in degrees of the angles by which the geodesics between successive points
-    turn: their total curvature, infinite for no path."""
+    """By how many degrees the geodesics between successive points turn, in all: their
+    total curvature."""
     poles = np.cross(path[:-1], path[1:])
     return float(angles(poles[1:], poles[:-1]).sum())
 

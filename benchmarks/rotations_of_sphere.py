@@ -28,10 +28,10 @@ from tqdm import tqdm
 import manireg as mr
 
 SPHERE = mr.Sphere(2)
-DATA, GRID, SEEDS, NOISE = 50, 4000, 20, 0.25
+DATA, GRID, SEEDS, NOISE = 50, 2000, 20, 0.25
 CONCENTRATIONS = np.geomspace(0.1, 1e3, 81)
 FIELDS = "method", "seed", "error", "chosen", "warnings", "seconds"
-REFERENCE = "local means"
+REFERENCE, SEEN = "local means", ", the best seen afterwards"
 
 
 def spiral(n: int) -> np.ndarray:
@@ -72,8 +72,11 @@ def rotation_regression(x, y):
         return float(np.mean((local_rotations(x, x, y, weights) - y) ** 2))
 
     kappa = min(CONCENTRATIONS, key=left_out)
-    at = lambda a: local_rotations(a, x, y, np.exp(kappa * (a @ x.T - 1)))
-    return at, f"kappa {kappa:.1f}"
+    return _rotations(x, y, kappa), f"kappa {kappa:.1f}"
+
+
+def _rotations(x, y, kappa: float) -> Callable:
+    return lambda a: local_rotations(a, x, y, np.exp(kappa * (a @ x.T - 1)))
 
 
 def local_means(x, y):
@@ -81,10 +84,36 @@ def local_means(x, y):
     return model, f"h {float(model.bandwidth):.2f}"
 
 
+def error(model) -> float:
+    """Degrees between the noiseless map and a model, mean over the sphere."""
+    grid = spiral(GRID)
+    squared = SPHERE.squared_distance(np.asarray(model(grid)), truth(grid))
+    return float(np.degrees(np.sqrt(squared)).mean())
+
+
+def seen_afterwards(fit: Callable, values) -> Callable:
+    """Of the fits `(x, y, value)` that of least error: what no rule can know."""
+
+    def method(x, y):
+        models = {value: fit(x, y, value) for value in values}
+        best = min(models, key=lambda value: error(models[value]))
+        return models[best], f"{best:.1e}"
+
+    return method
+
+
+def means_at(x, y, bandwidth: float):
+    return mr.baselines.nadaraya_watson(SPHERE, SPHERE, x, y, bandwidth)
+
+
+def map_at(order: int) -> Callable:
+    return lambda x, y, lam: mr.fit(SPHERE, SPHERE, x, y, lam, order=order)
+
+
 def smoothed(**options) -> Callable:
     def method(x, y):
         model = mr.fit(SPHERE, SPHERE, x, y, progress=False, **options)
-        order = model.problem.order
+        order = model.problem.energy.order
         return model, f"order {order}, lambda {float(model.lam):.1e}"
 
     return method
@@ -97,6 +126,9 @@ METHODS = {
     "manireg, order auto": smoothed(order="auto"),
     "manireg, order 2, restricted likelihood": smoothed(order=2, criterion="reml"),
     "manireg, order 3, restricted likelihood": smoothed(order=3, criterion="reml"),
+    f"local means{SEEN}": seen_afterwards(means_at, np.geomspace(0.15, 0.6, 9)),
+    f"local rotations{SEEN}": seen_afterwards(_rotations, CONCENTRATIONS),
+    f"manireg, order 2{SEEN}": seen_afterwards(map_at(2), np.geomspace(1e-5, 1e-3, 5)),
 }
 
 
@@ -107,10 +139,8 @@ def run(method: str, seed: int) -> dict[str, object]:
         warnings.simplefilter("always")
         model, chosen = METHODS[method](x, y)
     seconds = time.perf_counter() - start
-    grid = spiral(GRID)
-    squared = SPHERE.squared_distance(np.asarray(model(grid)), truth(grid))
     names = " ".join(sorted({w.category.__name__ for w in caught}))
-    values = method, seed, float(np.degrees(np.sqrt(squared)).mean()), chosen, names
+    values = method, seed, error(model), chosen, names
     return dict(zip(FIELDS, (*values, seconds), strict=True))
 
 
@@ -124,16 +154,17 @@ def report(rows: pd.DataFrame) -> str:
         "",
         " ".join(__doc__.split("\n\n")[0].split()),
         "",
-        f"{DATA} data, mean angle to the noiseless map in degrees, {len(errors)} draws of "
-        "the noise; ratios of mean errors, and in how many draws the error is lower.",
+        f"{DATA} data, mean angle to the noiseless map in degrees, of draws of the noise; "
+        "ratios of mean errors of the same draws, and in how many the error is lower.",
         "",
-        "| method | error | over local means | lower | over local rotations | lower | s |",
-        "|---|---|---|---|---|---|---|",
+        "| method | draws | error | over local means | lower | over local rotations | "
+        "lower | s |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for name in errors:
         e = errors[name].dropna()
         sem = e.std(ddof=1) / np.sqrt(len(e))
-        cells = [name, f"{e.mean():.2f} ± {sem:.2f}"]
+        cells = [name, str(len(e)), f"{e.mean():.2f} ± {sem:.2f}"]
         for other in (means[e.index], rotations[e.index]):
             lower = f"{(e < other).sum()} of {len(e)}"
             cells += [f"{e.mean() / other.mean():.2f}", lower]
