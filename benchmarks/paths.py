@@ -4,10 +4,10 @@ the published running means of Torsvik et al. (2012), in sample.
     pip install '.[paths]'
     python benchmarks/paths.py
 
-Folds and poles are those of `gondwana.py`. spheresmooth (GPL) fits geodesics between knots
-whose jumps of velocity are penalised; its lambda, and its number of knots, are those of its
-own BIC. The tables of poles are found by `MANIREG_DATA`; the report is written to `--out`,
-in half an hour.
+Folds and poles are those of `gondwana.py`. spheresmooth (GPL) fits geodesics between
+knots, with a penalty on the jumps of velocity there; its lambda and its number of knots
+are those of its own BIC. The tables are found by `MANIREG_DATA`, the report is written
+to `--out`, in half an hour.
 """
 
 import argparse
@@ -103,8 +103,8 @@ def of_running_means() -> str:
     return "\n".join(
         [
             f"The {len(ages)} running means of {ages.min():g} to {ages.max():g} Ma: "
-            "distance of a path to the means that it was fitted to, its length, and by how "
-            "much it turns in all, from age to age; degrees.",
+            "distance of a path to the means that it was fitted to, its length, and by "
+            "how much it turns in all, from age to age; degrees.",
             "",
             "| path | mean | rms | largest | length | turning | knots |",
             "|---|---|---|---|---|---|---|",
