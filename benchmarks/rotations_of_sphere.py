@@ -169,7 +169,7 @@ def report(rows: pd.DataFrame) -> str:
             lower = f"{(e < other).sum()} of {len(e)}"
             cells += [f"{e.mean() / other.mean():.2f}", lower]
         lines.append("| " + " | ".join([*cells, f"{seconds[name]:.1f}"]) + " |")
-    warned = rows[rows["warnings"].fillna("") != ""]
+    warned = rows[rows["warnings"] != ""]
     found = f"{len(warned)} of {len(rows)} fits warned"
     return "\n".join([*lines, "", found + "."]) + "\n"
 
@@ -188,7 +188,7 @@ def main() -> None:
     todo = [(m, s) for m in options.methods for s in range(options.seeds)]
     for method, seed in tqdm([key for key in todo if key not in done]):
         append_row(file, FIELDS, run(method, seed))
-    text = report(pd.read_csv(file))
+    text = report(pd.read_csv(file, keep_default_na=False))
     (options.out / "rotations_of_sphere.md").write_text(text)
 
 
