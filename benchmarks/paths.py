@@ -26,7 +26,7 @@ import manireg as mr
 from manireg.datasets import data_folder, read_table
 
 COUNTS = 3, 4, 5, 6, 8, 10  # knots to choose from, of the poles
-MEANS_COUNTS = 5, 10, 15, 20, 30, 40  # and of the running means
+MEANS_COUNTS = 3, 4, 5, 6, 7, 8, 10, 15, 20, 30  # and of the running means
 OURS = {
     "manireg (default: leave-one-out)": {},
     "manireg, restricted likelihood": {"criterion": "reml"},
