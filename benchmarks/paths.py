@@ -86,7 +86,7 @@ def of_running_means() -> str:
     ages = table["Age"]
     means = directions(table["Plat1_RM"], table["Plon_RM"])
     spline = directions(table["Plat_Spline"], table["Plon_Spline"])
-    paths = {"the running means themselves": means, "the published spline": spline}
+    paths = {"the running means themselves": means, "the published spline, of the poles": spline}
     knots = {}
     for name, fit in methods(mr.Interval(ages.min(), ages.max()), MEANS_COUNTS).items():
         model = fit(ages, means)
@@ -103,8 +103,8 @@ def of_running_means() -> str:
     return "\n".join(
         [
             f"The {len(ages)} running means of {ages.min():g} to {ages.max():g} Ma: "
-            "distance of a path to the means that it was fitted to, its length, and by "
-            "how much it turns in all, from age to age; degrees.",
+            "distance of a path to the means, its length, and by how much it turns in "
+            "all, from age to age; degrees.",
             "",
             "| path | mean | rms | largest | length | turning | knots |",
             "|---|---|---|---|---|---|---|",
