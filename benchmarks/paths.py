@@ -86,7 +86,10 @@ def of_running_means() -> str:
     ages = table["Age"]
     means = directions(table["Plat1_RM"], table["Plon_RM"])
     spline = directions(table["Plat_Spline"], table["Plon_Spline"])
-    paths = {"the running means themselves": means, "the published spline, of the poles": spline}
+    paths = {
+        "the running means themselves": means,
+        "the published spline, of the poles": spline,
+    }
     knots = {}
     for name, fit in methods(mr.Interval(ages.min(), ages.max()), MEANS_COUNTS).items():
         model = fit(ages, means)
