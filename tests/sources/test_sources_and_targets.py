@@ -24,7 +24,9 @@ def test_data_on_a_geodesic_are_followed_without_energy(name):
     p = target.random_points(jax.random.key(1), 1)[0]
     v = jax.random.normal(jax.random.key(2), target.point_shape)
     v = target.tangent_projection(p, v)
-    size = min(2.0, 0.6 * float(target.injectivity_radius))
+    # coordinates of geodesics of another metric grow like exponentials
+    longest = 2.0 if target.isometric else 0.5
+    size = min(longest, 0.6 * float(target.injectivity_radius))
     v = v * size / jnp.linalg.norm(target.orthonormal(p, v))
     geodesic = jax.vmap(lambda t: target.exp(p, t * v))
     model = mr.solve(curve_problem(target, geodesic(jnp.asarray(X))), 0.1)
