@@ -40,6 +40,13 @@ class Domain(eqx.Module):
     def dim(self) -> int:
         return self.frames.shape[-1]
 
+    @property
+    def isometric(self) -> bool:
+        """Whether lengths are those of the ambient space: frames are orthonormal there."""
+        frames = np.asarray(self.frames)
+        gram = np.swapaxes(frames, 1, 2) @ frames
+        return bool(np.allclose(gram, np.eye(self.dim), atol=1e-6))
+
     def geodesics(self, order: int) -> Float[np.ndarray, "Q J s"]:
         """All of them up to that order: the points, the frames, the second forms, ...
 

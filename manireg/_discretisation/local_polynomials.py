@@ -64,7 +64,10 @@ def local_polynomials(
     `around`: points of the source, some in every support."""
     K, s = centres.points.shape
     widths = np.broadcast_to(np.asarray(widths, float), (K,))
-    frames = complete_frames(np.asarray(centres.frames))
+    tangent = np.asarray(centres.frames)
+    if not centres.isometric:  # supports are balls of the ambient space
+        tangent = np.linalg.qr(tangent)[0]
+    frames = complete_frames(tangent)
     exponents = _exponents(centres.dim, s, degree)
     mixing = _orthonormal(centres.points, frames, widths, exponents, around.points)
     arrays = jax.device_put((centres.points, frames, widths, mixing))

@@ -34,7 +34,9 @@ def sample(
     volume = float(np.sum(np.asarray(domain.weights)))
     data = np.asarray(x)
     low = round(share * low)
-    spacing = None if graded else clustered_spacing(data, m, volume, n, low)
+    spacing = None
+    if not graded and domain.isometric:  # which the volume is to be compared with
+        spacing = clustered_spacing(data, m, volume, n, low)
     if spacing is not None:
         most = round(share * CLUSTERED.get(m, CLUSTERED[3]))
         most = most if centres is None else centres
@@ -44,7 +46,7 @@ def sample(
             nodes, h, quadrature = followed
             return nodes, h, quadrature, spacing.data_volume
     nodes = centres_of(source, n, x, graded)
-    if source.sampled.known_points() is not None:
+    if source.sampled.known_points() is not None or not domain.isometric:
         spacing = local_spacings(np.asarray(nodes.points), m)
     else:
         spacing = (volume / len(nodes.points)) ** (1 / m)

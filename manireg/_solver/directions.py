@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from .._source import AbstractSource, Chart
 from ..manifolds import AbstractManifold
 from ..manifolds._defaults.covariant_derivative import derivatives_along
+from ..manifolds._defaults.frames import orthonormal_columns
 
 STARTS = {1: 256, 2: 24}  # coordinates along each axis, to find those of a point
 FEWEST_STARTS = 8
@@ -48,27 +49,30 @@ def frame_at(
     """Orthonormal columns that span the tangent space: the axes of a vector space; in a
     curve in the plane counterclockwise around the origin."""
     s = len(p)
-    if source is None or source.dim == s:
+    if source is None:
         return jnp.eye(s)
     m = source.dim
     if isinstance(source, AbstractManifold):
-        frame = _image(_projector(source, p), m)
+        frame = jnp.eye(s) if m == s else _image(_projector(source, p), m)
         if not source.isometric:
-            at = p.reshape(source.point_shape)
-            image = lambda e: source.orthonormal(at, e.reshape(at.shape)).ravel()
-            columns = jax.vmap(image, 1, 1)(frame)
-            root = jnp.linalg.cholesky(columns.T @ columns)
-            frame = jax.scipy.linalg.solve_triangular(root, frame.T, lower=True).T
-        if s == 2:
+            images = orthonormal_columns(source, p.reshape(source.point_shape), frame)
+            frame = _orthonormal_in(images.T @ images, frame)
+        if (m, s) == (1, 2):
             across = p[0] * frame[1, 0] - p[1] * frame[0, 0]
             frame *= jnp.where(across < 0, -1.0, 1.0)
         return frame
+    if m == s:
+        return jnp.eye(s)
     if math.prod(source.point_shape) == m:
         x = source.from_ambient(p[None])[0]
         to_ambient = lambda x: source.to_ambient(x[None])[0]
         return _orthonormal(jax.jacfwd(to_ambient)(x).reshape(s, m))
     chart = _chart(source)
-    return _orthonormal(jax.jacfwd(chart.embed)(_coordinates(chart, p)))
+    u = _coordinates(chart, p)
+    vectors = jax.jacfwd(chart.embed)(u)
+    if chart.metric is None:
+        return _orthonormal(vectors)
+    return _orthonormal_in(chart.metric(u), vectors)
 
 
 def _projector(source: AbstractManifold, p: Float[Array, " s"]) -> Float[Array, "s s"]:
@@ -102,7 +106,11 @@ def _bend(source: AbstractSource, p: Float[Array, " s"], e: Float[Array, " s"]):
     one, none = jnp.ones(1), jnp.zeros(1)
     u = _coordinates(chart, p)
     _, first, second = derivatives_along(chart.embed, 2)(u, one, none)
-    return (second - e * (e @ second)) / (first @ first)
+    own = chart.metric
+    if own is None:
+        return (second - e * (e @ second)) / (first @ first)
+    metric, slope = jax.jvp(lambda u: own(u)[0, 0], (u,), (one,))
+    return (second - first * slope / (2 * metric)) / metric
 
 
 def _chart(source: AbstractSource) -> Chart:
@@ -144,3 +152,11 @@ def _orthonormal(vectors: Float[Array, "s m"]) -> Float[Array, "s m"]:
             v = v - e * (e @ v)
         columns.append(v / jnp.linalg.norm(v))
     return jnp.stack(columns, axis=1)
+
+
+def _orthonormal_in(
+    metric: Float[Array, "m m"], vectors: Float[Array, "s m"]
+) -> Float[Array, "s m"]:
+    """The same in a metric of their coefficients."""
+    root = jnp.linalg.cholesky(metric)
+    return jax.scipy.linalg.solve_triangular(root, vectors.T, lower=True).T

@@ -7,39 +7,29 @@ import jax
 import jax.numpy as jnp
 
 from .._objective.terms import project_flat
-from ..manifolds._defaults.frames import coordinates
+from ..manifolds._defaults.frames import coordinates, orthonormal_columns
 from .derivatives import tangent_of_curve
 from .readings import sphere_motion
 
 
 def slope(target, psi, frame):
     """Of the projection, in the frame of the tangent space."""
+    p = target.project(psi.reshape(target.point_shape))
     columns = jax.jacfwd(lambda q: project_flat(target, q))(psi)
-    return jax.vmap(lambda v: _in_frame(target, psi, frame, v), 1, 1)(columns)
+    axes = orthonormal_columns(target, p, frame)
+    return axes.T @ orthonormal_columns(target, p, columns)
 
 
 def in_frame(target, psi, frame):
     """Near the map, whose own coordinates are 0."""
-    here = jax.lax.stop_gradient(project_flat(target, psi[0]))
-    gap = project_flat(target, psi[0]) - here
-    return _in_frame(target, jax.lax.stop_gradient(psi[0]), frame, gap)
-
-
-def _in_frame(target, psi, frame, v):
-    p = target.project(psi.reshape(target.point_shape))
-    return coordinates(target, p, frame, v.ravel())
-
-
-def _velocity(target, psi):
-    return tangent_of_curve(target, psi)
+    p = target.project(psi[0].reshape(target.point_shape))
+    here = jax.lax.stop_gradient(p)
+    return coordinates(target, here, frame, (p - here).ravel())
 
 
 def velocity_in_frame(target, psi, frame):
     """Its derivative is the covariant one: the frame is carried along."""
-    p, velocity = (
-        target.project(psi[0].reshape(target.point_shape)),
-        _velocity(target, psi),
-    )
+    p, velocity = _moving(target, psi)
     here, v = jax.lax.stop_gradient((p, velocity))
     value = coordinates(target, here, frame, velocity.ravel())
     if target.isometric:
@@ -47,8 +37,7 @@ def velocity_in_frame(target, psi, frame):
     # the connection along the displacement: half of what is quadratic in the velocity
     bend = lambda v: target.covariant_derivative([here, v, jnp.zeros_like(v)])
     turned = 0.5 * jax.jvp(bend, (v,), (p - here,))[1]
-    turned = target.from_orthonormal(here, turned)
-    return value + coordinates(target, here, frame, turned.ravel())
+    return value + orthonormal_columns(target, here, frame).T @ turned.ravel()
 
 
 def turn_in_space(target, psi):
@@ -69,7 +58,8 @@ def twist_in_body(target, psi):
 
 def _moving(target, psi):
     """Value and velocity."""
-    return target.project(psi[0].reshape(target.point_shape)), _velocity(target, psi)
+    p = target.project(psi[0].reshape(target.point_shape))
+    return p, tangent_of_curve(target, psi)
 
 
 class Read(eqx.Module):
@@ -83,5 +73,5 @@ class Read(eqx.Module):
 
 def motion(target, psi):
     """Speed, azimuth, and the Euler pole."""
-    found = sphere_motion(target.project(psi[0]), _velocity(target, psi))
+    found = sphere_motion(*_moving(target, psi))
     return jnp.concatenate([jnp.stack([found.speed, found.azimuth]), found.euler_pole])

@@ -4,14 +4,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float, PRNGKeyArray, ScalarLike
 
 from .._algebra.smooth import angle_over_sinh, cosh_sinhc, squared_hyperbolic_angle
-from .._source import Chart, bounding_box
+from .._source import Chart
 from ._arrays import Numbers, as_array
 from ._base import AbstractManifold
-from ._defaults.frames import metric_of_chart
+from ._defaults.normal_coordinates import normal_chart
 from ._membership import is_concrete
 
 
@@ -155,12 +154,7 @@ class Hyperbolic(AbstractManifold):
 
     def chart(self, around: np.ndarray | None) -> Chart:
         """Normal coordinates at the origin, cut to the data."""
-        if around is not None:
-            around = np.asarray(self.log(self.origin, jax.device_put(around)))[:, 1:]
-        low, high = bounding_box(self, around)
-        embed = Partial(_from_normal, self)
-        metric = metric_of_chart(self, embed)
-        return Chart(low, high, (False,) * self.dim, embed, metric)
+        return normal_chart(self, self.origin, around)
 
     def mistake(self, points: np.ndarray) -> tuple[Bool[np.ndarray, " k"], str, str]:
         """Points of the lower sheet."""
@@ -169,10 +163,6 @@ class Hyperbolic(AbstractManifold):
 
     def _chord(self, p, q):
         return _lorentz(p - q, p - q) / self.radius**2
-
-
-def _from_normal(space: Hyperbolic, u: Float[Array, " n"]) -> Float[Array, " t"]:
-    return space.exp(space.origin, jnp.concatenate([jnp.zeros(1), u]))
 
 
 def _lorentz(u: Float[Array, "..."], v: Float[Array, "..."]) -> Float[Array, "... 1"]:

@@ -5,7 +5,6 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Complex, Float, PRNGKeyArray
 
 from .._algebra.smooth import (
@@ -16,11 +15,12 @@ from .._algebra.smooth import (
     off_zero,
     squared_angle,
 )
-from .._source import Chart, bounding_box
-from ._arrays import Numbers, as_array, first_index
+from .._source import Chart
+from ._arrays import Numbers, first_index
 from ._base import AbstractManifold
-from ._defaults.frames import metric_of_chart
+from ._defaults.normal_coordinates import normal_chart
 from ._membership import check_on, is_concrete
+from ._preshapes import helmert, preshapes, turned
 
 _CUT = 1e-3  # cosines of the distance to the reference at which coordinates end
 _NEAR_CUT = 0.1
@@ -85,10 +85,10 @@ class PlanarShapes(AbstractManifold):
                 f"PlanarShapes: `reference` must have at least 3 landmarks, found "
                 f"{shape[-2]}; two landmarks have only one shape."
             )
-        z = _preshapes("reference", reference)
+        z = preshapes("reference", reference)
         if z.ndim == 2:
             mean = jnp.linalg.eigh(z.T @ jnp.conj(z))[1][:, -1]
-            z = _turned(mean, jnp.vdot(mean, z[0]))
+            z = turned(mean, jnp.vdot(mean, z[0]))
         self.reference = jnp.stack([z.real, z.imag], axis=-1)
 
     @property
@@ -126,14 +126,14 @@ class PlanarShapes(AbstractManifold):
         where all k landmarks coincide, one is not finite, or the shape is at right angles
         to the reference.
         """
-        z = _preshapes("landmarks", landmarks)
+        z = preshapes("landmarks", landmarks)
         if z.shape[-1] != self.k:
             raise ValueError(
                 f"PlanarShapes: landmarks must have shape (..., {self.k}, 2), as the "
                 f"reference, found {(*z.shape, 2)}."
             )
         z = jnp.sum(self._basis() * z[..., None, :], axis=-1)
-        z = _turned(z, jnp.conj(z[..., :1]))
+        z = turned(z, jnp.conj(z[..., :1]))
         p = jnp.concatenate([z.real, z.imag[..., 1:]], axis=-1)
         if is_concrete(p):
             _refuse_cut("PlanarShapes: `landmarks`", np.asarray(p[..., 0]))
@@ -152,21 +152,21 @@ class PlanarShapes(AbstractManifold):
         z = jnp.concatenate([p[..., :1] + 0j, jax.lax.complex(x, y)], axis=-1)
         z = jnp.sum(jnp.conj(self._basis()) * z[..., None], axis=-2)
         if reference is not None:
-            other = _preshapes("reference", reference)
-            z = _turned(z, jnp.sum(jnp.conj(z) * other, axis=-1, keepdims=True))
+            other = preshapes("reference", reference)
+            z = turned(z, jnp.sum(jnp.conj(z) * other, axis=-1, keepdims=True))
         return jnp.stack([z.real, z.imag], axis=-1)
 
     def _basis(self) -> Complex[Array, "h k"]:
         """Rows $a_j$ of $z_j = a_j \\cdot z$ for centred landmarks z: a reflection of
         Helmert's that takes the reference to the first axis."""
-        helmert = _helmert(self.k)
-        r = helmert @ jax.lax.complex(self.reference[:, 0], self.reference[:, 1])
+        rows = helmert(self.k)
+        r = rows @ jax.lax.complex(self.reference[:, 0], self.reference[:, 1])
         size = jnp.abs(r[0])
         phase = jnp.where(
             size > 0, -jnp.conj(r[0]) / jnp.where(size > 0, size, 1.0), 1.0
         )
         axis = phase * r - np.eye(1, self.k - 1)[0]  # phase r_0 < 0: no cancellation
-        reflected = helmert - jnp.outer(axis, jnp.conj(axis) @ helmert) / (1.0 + size)
+        reflected = rows - jnp.outer(axis, jnp.conj(axis) @ rows) / (1.0 + size)
         return phase * reflected
 
     # Points on the half sphere
@@ -252,9 +252,9 @@ class PlanarShapes(AbstractManifold):
         cosine2 = real**2 + imaginary**2
         none = cosine2 == 0.0
         cosine = jnp.where(none, 0.0, jnp.sqrt(jnp.where(none, 1.0, cosine2)))
-        turned = real * h - imaginary * _times_i(h)
-        turned = jnp.where(none, h, turned / jnp.where(none, 1.0, cosine))
-        return math.sqrt(2) * angle_over_sine(2 * sine2 / (1 + cosine)) * turned
+        back = real * h - imaginary * _times_i(h)
+        back = jnp.where(none, h, back / jnp.where(none, 1.0, cosine))
+        return math.sqrt(2) * angle_over_sine(2 * sine2 / (1 + cosine)) * back
 
     def _across(self, p, q):
         r"""$w - z \langle z, w \rangle$, carried to the reference."""
@@ -272,21 +272,15 @@ class PlanarShapes(AbstractManifold):
             raise ValueError(
                 "PlanarShapes as a source is cut to the data: pass `around`, those points."
             )
-        origin = jnp.eye(1, 2 * self.k - 3)[0]
-        low, high = bounding_box(
-            self, np.asarray(self.residual(origin, jax.device_put(around)))[:, 1:]
-        )
-        corner = np.linalg.norm(np.maximum(np.abs(low), np.abs(high)))
+        chart = normal_chart(self, jnp.eye(1, 2 * self.k - 3)[0], around)
+        corner = np.linalg.norm(np.maximum(np.abs(chart.lower), np.abs(chart.upper)))
         if not corner < 0.99 * self.injectivity_radius:
             raise ValueError(
                 "PlanarShapes as a source is a box of normal coordinates at the "
                 f"reference; that of `x` has a corner at {corner:.2g}, and they end at "
                 f"{self.injectivity_radius:.2g}. {_ANOTHER}"
             )
-        embed = Partial(_from_normal, self)
-        return Chart(
-            low, high, (False,) * self.dim, embed, metric_of_chart(self, embed)
-        )
+        return chart
 
     # The place of data
 
@@ -311,44 +305,6 @@ class PlanarShapes(AbstractManifold):
         )
 
 
-def _from_normal(shapes: PlanarShapes, u: Float[Array, " n"]) -> Float[Array, " t"]:
-    origin = jnp.eye(1, 2 * shapes.k - 3)[0]
-    c = jnp.concatenate([jnp.zeros(1), u])
-    return shapes.exp(origin, shapes.from_orthonormal(origin, c))
-
-
-def _helmert(k: int) -> np.ndarray:
-    """Rows (-1, .., -1, j, 0, .., 0)/sqrt(j(j+1)), j = 1..k-1: orthonormal, each of sum
-    zero."""
-    j = np.arange(1, k)[:, None]
-    column = np.arange(k)[None, :]
-    rows = np.where(column < j, -1.0, np.where(column == j, j, 0.0))
-    return rows / np.sqrt(j * (j + 1.0))
-
-
-def _preshapes(name: str, landmarks: Numbers) -> Complex[Array, "..."]:
-    """`(..., k)`, centred and of unit size."""
-    landmarks = as_array(f"PlanarShapes: `{name}`", landmarks)
-    if landmarks.ndim < 2 or landmarks.shape[-1] != 2:
-        raise ValueError(
-            f"PlanarShapes: landmarks must have shape (..., k, 2), found "
-            f"{landmarks.shape}."
-        )
-    # from one of them first: far from the origin the differences have more digits
-    xy = landmarks - landmarks[..., :1, :]
-    xy = xy - jnp.mean(xy, axis=-2, keepdims=True)
-    size2 = norm_squared(xy, 2)
-    if is_concrete(size2):
-        shapeless = np.asarray(~(size2 > 0) | ~jnp.isfinite(size2))
-        if shapeless.any():
-            raise ValueError(
-                f"PlanarShapes: `{name}` holds {shapeless.sum()} of {shapeless.size} "
-                "configurations without a shape (all landmarks coincide, or one is NaN or "
-                f"infinite; first at index {first_index(shapeless)}); leave them out."
-            )
-    return jax.lax.complex(xy[..., 0], xy[..., 1]) / jnp.sqrt(size2)[..., None]
-
-
 def _refuse_cut(name: str, cosines: np.ndarray) -> None:
     cut = cosines < _CUT
     if np.any(cut):
@@ -357,12 +313,6 @@ def _refuse_cut(name: str, cosines: np.ndarray) -> None:
             f"reference (first at index {first_index(cut)}), where coordinates end. "
             f"{_ANOTHER}"
         )
-
-
-def _turned(z: Complex[Array, "..."], by: Complex[Array, "..."]) -> Array:
-    """z times the phase of a number; where that is 0, as it is."""
-    size = jnp.abs(by)
-    return z * jnp.where(size > 0, by / jnp.where(size > 0, size, 1.0), 1.0)
 
 
 def _aligned(p: Float[Array, "..."], imaginary: Float[Array, "..."]) -> Array:

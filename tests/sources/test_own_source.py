@@ -122,3 +122,69 @@ def test_without_a_chart():
 def test_bad_charts(lower, upper, periodic, message):
     with pytest.raises(ValueError, match=f"Chart: .*{message}"):
         mr.Chart(lower, upper, periodic, lambda u: u)
+
+
+class Sheet(mr.AbstractSource):
+    """A square in space on which the first coordinate counts twice."""
+
+    dim = 2
+    point_shape = (3,)
+
+    def chart(self, around):
+        embed = lambda u: jnp.stack([u[0], u[1], 0.0])
+        metric = lambda u: jnp.diag(jnp.array([4.0, 1.0]))
+        return mr.Chart([0, 0], [1, 1], [False, False], embed, metric)
+
+
+class Twice(mr.Euclidean):
+    """The same square, a manifold that fills its space."""
+
+    @property
+    def isometric(self):
+        return False
+
+    def orthonormal(self, p, v):
+        return v * jnp.array([2.0, 1.0])
+
+    def from_orthonormal(self, p, c):
+        return c / jnp.array([2.0, 1.0])
+
+    def chart(self, around):
+        embed = lambda u: u
+        metric = lambda u: jnp.diag(jnp.array([4.0, 1.0]))
+        return mr.Chart([0, 0], [1, 1], [False, False], embed, metric)
+
+    @property
+    def linear(self):
+        return False
+
+
+@pytest.mark.parametrize("source", [Sheet(), Twice(2)])
+def test_frames_in_a_metric_of_its_own(source):
+    rng = np.random.default_rng(0)
+    u = rng.uniform(size=(40, 2))
+    x = np.pad(u, ((0, 0), (0, source.point_shape[0] - 2)))
+    model = mr.fit(source, mr.Euclidean(2), x, u, 1e-3)
+    stretch = jnp.linalg.svd(model.differential(x).derivatives, compute_uv=False)
+    np.testing.assert_allclose(stretch, np.tile([1.0, 0.5], (40, 1)), rtol=1e-6)
+
+
+class Rope(mr.AbstractSource):
+    """A line on which s = u + u^2 / 2 is the length."""
+
+    dim = 1
+    point_shape = (2,)
+
+    def chart(self, around):
+        embed = lambda u: jnp.stack([u[0], 0.0])
+        return mr.Chart([0], [1], [False], embed, lambda u: (1 + u[:, None]) ** 2)
+
+
+def test_curves_in_a_metric_of_their_own():
+    """A map linear in the length has no energy, velocity one, no acceleration."""
+    u = np.linspace(0, 1, 30)
+    x = np.stack([u, np.zeros(30)], axis=1)
+    model = mr.fit(Rope(), mr.Euclidean(1), x, (u + u**2 / 2)[:, None], 1e-3)
+    np.testing.assert_allclose(model.velocity(x), 1.0, rtol=1e-5)
+    np.testing.assert_allclose(model.acceleration(x), 0.0, atol=1e-3)
+    assert model.energies.eells < 1e-8

@@ -50,8 +50,16 @@ def coordinates(
     v: Float[Array, " t"],
 ) -> Float[Array, " n"]:
     """Of a vector tangent at p on N in an orthonormal frame there."""
-    orthonormal = lambda v: manifold.orthonormal(p, v.reshape(p.shape)).ravel()
-    return jax.vmap(orthonormal, 1, 1)(frame).T @ orthonormal(v)
+    axes = orthonormal_columns(manifold, p, frame)
+    return axes.T @ manifold.orthonormal(p, v.reshape(p.shape)).ravel()
+
+
+def orthonormal_columns(
+    manifold: AbstractManifold, p: Float[Array, "..."], vectors: Float[Array, "t n"]
+) -> Float[Array, "t n"]:
+    """`orthonormal` coordinates of flattened vectors tangent at p, columns."""
+    image = lambda v: manifold.orthonormal(p, v.reshape(p.shape)).ravel()
+    return jax.vmap(image, 1, 1)(vectors)
 
 
 def metric_of_chart(
@@ -63,23 +71,18 @@ def metric_of_chart(
 
 def _metric_in_chart(manifold, embed, u):
     p, columns = embed(u).reshape(manifold.point_shape), jax.jacfwd(embed)(u)
-    vectors = _orthonormal(manifold, p, columns)
+    vectors = orthonormal_columns(manifold, p, columns)
     return vectors.T @ vectors
 
 
 def orthonormal_axes(
     manifold: AbstractManifold, points: np.ndarray, vectors: Float[np.ndarray, "Q t n"]
 ) -> Float[np.ndarray, "Q t n"]:
-    """Of tangent vectors at flattened points, columns: `orthonormal` coordinates."""
+    """The same at many flattened points, on the host."""
     if manifold.isometric:
         return vectors
     batch = np.asarray(points).reshape(-1, *manifold.point_shape)
-    return at_each(_orthonormal, manifold, batch, vectors)
-
-
-def _orthonormal(manifold, p, vectors):
-    image = lambda v: manifold.orthonormal(p, v.reshape(p.shape)).ravel()
-    return jax.vmap(image, 1, 1)(vectors)
+    return at_each(orthonormal_columns, manifold, batch, vectors)
 
 
 def complete_frames(frames: Float[np.ndarray, "K s m"]) -> Float[np.ndarray, "K s s"]:
