@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 import manireg as mr
 from manireg.datasets import data_folder, read_table
+from manireg.datasets._tables import directions
 
 POLES, TRAINING, FOLDS = 194, 174, 10
 TARGET = mr.Sphere(2)
@@ -32,9 +33,7 @@ def poles() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     lat, lon, age, a95 = (
         table[name][table["gondwana"] == 1] for name in ("lat", "lon", "age", "a95")
     )
-    lat, lon = np.radians(lat), np.radians(lon)
-    x, y = np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon)
-    return age, np.stack([x, y, np.sin(lat)], axis=-1), np.asarray(mr.from_a95(a95))
+    return age, directions(lat, lon), np.asarray(mr.from_a95(a95))
 
 
 def folds() -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -82,6 +81,14 @@ def share_predicted(maps: list, x, y, sigma) -> float:
     return float(np.mean(inside))
 
 
+def judged(errors: np.ndarray, reference: np.ndarray) -> list[str]:
+    """Mean, median, rms, and the mean difference to the errors of another method."""
+    less = errors - reference
+    values = errors.mean(), np.median(errors), np.sqrt(np.mean(errors**2))
+    sem = less.std(ddof=1) / np.sqrt(len(less))
+    return [*(f"{v:.2f}" for v in values), f"{less.mean():+.2f} ± {sem:.2f}"]
+
+
 def report(errors: dict[str, np.ndarray], predicted: float) -> str:
     """The methods that choose, and the best of those that do not, with the paired
     difference to it."""
@@ -94,12 +101,8 @@ def report(errors: dict[str, np.ndarray], predicted: float) -> str:
         "|---|---|---|---|---|",
     ]
     for name in [name for name in errors if name not in fixed] + [best]:
-        e = errors[name]
-        row = e.mean(), np.median(e), np.sqrt(np.mean(e**2))
         seen = " (the best, seen afterwards)" if name == best else ""
-        less = e - errors[best]
-        paired = f"{less.mean():+.2f} ± {less.std(ddof=1) / np.sqrt(len(e)):.2f}"
-        cells = [f"{name}{seen}", *(f"{v:.2f}" for v in row), paired]
+        cells = [f"{name}{seen}", *judged(errors[name], errors[best])]
         lines.append("| " + " | ".join(cells) + " |")
     more = (
         f"{100 * predicted:.1f} % of the held-out poles lie in the 95 % region of a new"

@@ -19,11 +19,12 @@ from pathlib import Path
 import jax
 import numpy as np
 from _spheresmooth import EXAMPLE, geodesic_spline
-from gondwana import FOLDS, POLES, TARGET, held_out, poles
+from gondwana import FOLDS, POLES, TARGET, held_out, judged, poles
 from tqdm import tqdm
 
 import manireg as mr
 from manireg.datasets import data_folder, read_table
+from manireg.datasets._tables import directions
 
 COUNTS = 3, 4, 5, 6, 8, 10  # knots to choose from, of the poles
 MEANS_COUNTS = 3, 4, 5, 6, 7, 8, 10, 15, 20, 30  # and of the running means
@@ -57,11 +58,9 @@ def of_poles() -> str:
         start = time.perf_counter()
         errors[name], maps = held_out(lambda x, y, _, fit=fit: fit(x, y), x, y, sigma)
         seconds = (time.perf_counter() - start) / FOLDS
-        e, less = errors[name], errors[name] - next(iter(errors.values()))
-        values = e.mean(), np.median(e), np.sqrt(np.mean(e**2))
-        paired = f"{less.mean():+.2f} ± {less.std(ddof=1) / np.sqrt(len(e)):.2f}"
-        cells = [name, *(f"{v:.2f}" for v in values), paired, _knots(maps)]
-        rows.append("| " + " | ".join([*cells, f"{seconds:.1f}"]) + " |")
+        cells = [name, *judged(errors[name], next(iter(errors.values())))]
+        cells += [_knots(maps), f"{seconds:.1f}"]
+        rows.append("| " + " | ".join(cells) + " |")
     return "\n".join(
         [
             f"{POLES} poles, {FOLDS} folds: held-out angle in degrees.",
@@ -114,12 +113,6 @@ def of_running_means() -> str:
             *rows,
         ]
     )
-
-
-def directions(lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
-    lat, lon = np.radians(lat), np.radians(lon)
-    x, y = np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon)
-    return np.stack([x, y, np.sin(lat)], axis=-1)
 
 
 def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -214,10 +214,9 @@ def _rows(
     alone = f"standard deviation {deviation:g} Myr" if deviation else "taken as exact"
     kinds = {
         "within a range": int(np.sum(np.isfinite(poles.age_min))),
-        "with a standard deviation": len(poles.age) - exact,
+        "with a standard deviation": int(np.sum(poles.age_sigma >= 0)) - exact,
         f"alone, {alone}": exact,
     }
-    kinds["with a standard deviation"] -= kinds["within a range"]
     rows["ages"] = ", ".join(f"{n} {kind}" for kind, n in kinds.items() if n)
     if np.any(poles.moved):
         moved = np.flatnonzero(poles.moved)

@@ -6,21 +6,18 @@ from typing import Annotated, Literal
 
 import numpy as np
 import typer
-from scipy.spatial.transform import Rotation
 
 from .. import apps, plot
 from ..apps._pose_files import PoseTable, read_poses, read_stamps, write_poses
 from ..apps._stamps import Stamps
 from ..apps._trajectory import Trajectory
-from ..apps._trajectory_errors import associated, trajectory_errors
 from ..apps._trajectory_picture import trajectory_picture
 from .arguments import check_not_read, order_of
 from .errors import check_written, clean_errors
 from .motion_table import motion_table
 from .noise import Level, LossName, check_level, loss_of
 from .report import print_rows
-
-MOST_NAMED = 8  # outliers and gaps, in what is printed
+from .trajectory_rows import compared, described, fitted
 
 
 def trajectory(
@@ -170,9 +167,9 @@ def trajectory(
         asked = _asked(found, clock, rate, times, unit)
         motion = found.after(asked.seconds(first))
         seconds = time.perf_counter() - start
-        rows = {"data": _described(poses, data, t)} | _fitted(found, clock)
+        rows = {"data": described(poses, data, t)} | fitted(found, clock)
         if true is not None:
-            rows |= _compared(found, data, true, t, first, delta)
+            rows |= compared(found, data, true, t, first, delta)
         rows["poses written"] = str(len(asked.exact)) if written else "0"
         rows["time"] = f"{seconds:.1f} s"
         if out is not None:
@@ -226,68 +223,3 @@ def _asked(found: Trajectory, clock: Stamps, rate, times: Path | None, unit) -> 
             "and unit (--unit)."
         )
     return asked
-
-
-def _described(path: Path, data: PoseTable, t: np.ndarray) -> str:
-    what = "poses" if data.positions is not None else "orientations"
-    columns = f" ({data.read})" if data.read else ""
-    span = f"{np.ptp(t):.6g} s, {(len(t) - 1) / np.ptp(t):.4g} Hz"
-    return f"{len(t)} {what} of {path.name}{columns}, {span}"
-
-
-def _fitted(found: Trajectory, clock: Stamps) -> dict[str, str]:
-    rows, texts = {}, clock.texts()
-    for name, part in found.parts.items():
-        size, of = (1.0, "m") if name == "position" else (np.degrees(1.0), "degrees")
-        rows[f"noise of {name}"] = (
-            f"{part.sigma * size:.3g} {of} an axis (order {part.order}; averaged over "
-            f"{part.window:.3g} s)"
-        )
-    lost = [texts[i] for i in found.outliers]
-    rows["outliers"] = f"{len(lost)}" + (f": {_some(lost)}" if lost else "")
-    gaps = [
-        f"{g.start:.6g} to {g.end:.6g} s" + ("" if g.bridged else " (not bridged)")
-        for g in found.gaps
-    ]
-    rows["gaps"] = f"{len(gaps)}" + (f": {_some(gaps)}" if gaps else "")
-    return rows
-
-
-def _some(texts: list[str]) -> str:
-    more = len(texts) - MOST_NAMED
-    return ", ".join(texts[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
-
-
-def _compared(
-    found, data: PoseTable, true: PoseTable, t, first, delta
-) -> dict[str, str]:
-    assert true.stamps is not None
-    there = true.stamps.seconds(first)
-    inside = np.flatnonzero((there >= t.min()) & (there <= t.max()))
-    i, j = associated(t, there[inside])
-    if len(i) < 3:
-        raise ValueError(
-            f"--reference: {len(i)} of its {len(there)} times are within 0.01 s of a "
-            "pose. Are both in the same clock and unit (--unit)?"
-        )
-    j = inside[j]
-    smooth = found.after(there[j])
-    take = lambda array, index: None if array is None else array[index]
-    turn = lambda q: Rotation.from_quat(q, scalar_first=True)
-    at = take(true.positions, j), turn(true.quaternions[j])
-    versions = {
-        "input": (take(data.positions, i), turn(data.quaternions[i])),
-        "smoothed": (smooth.positions, turn(smooth.quaternions)),
-    }
-    rows = {}
-    for name, (p, r) in versions.items():
-        errors = trajectory_errors(there[j], p, r, *at, delta)
-        rows[f"ATE, {name}"] = _pair(errors.ate, errors.ate_degrees)
-        rows[f"RPE, {name}"] = _pair(errors.rpe, errors.rpe_degrees)
-    rows["compared"] = f"{len(i)} poses; RPE over {delta:g} s; rms"
-    return rows
-
-
-def _pair(metres: float, degrees: float) -> str:
-    length = f"{metres:.4g} m, " if np.isfinite(metres) else ""
-    return f"{length}{degrees:.4g} degrees"

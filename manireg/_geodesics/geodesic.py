@@ -54,6 +54,7 @@ def geodesic(
     - `manifold`: any target; the one with only chords for distances is `PointCloud`. Or a
       scan: a file, a mesh, or what `load_surface` returns.
     - `p`, `q`: points `(..., *manifold.point_shape)`; leading dimensions broadcast.
+      With a metric of its own a manifold's `exp` and `log` are taken.
     - `segments`: n >= 2. On a point cloud, steps much shorter than the spacing of the
       points see the jumps between their patches.
 
@@ -96,8 +97,10 @@ def geodesic(
             )
         cloud: Any = manifold
         found = geodesics_on_scan(cloud, p, q, segments)
-    else:
+    elif manifold.isometric:
         found = _on_manifold(manifold, p, q, segments)
+    else:
+        found = _by_logarithm(manifold, p, q, segments)
     return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
 
 
@@ -136,5 +139,19 @@ def _on_manifold(manifold: AbstractManifold, p, q, segments: int) -> Geodesic:
         interpolate = lambda x: jnp.interp(times, jnp.arange(len(coarse)), x)
         columns = jax.vmap(interpolate, 1, 1)(coarse.reshape(len(coarse), -1))
         return minimise_harmonic(manifold, columns.reshape(-1, *p.shape), RTOL, RTOL)
+
+    return jax.vmap(one)(p, q)
+
+
+@eqx.filter_jit
+def _by_logarithm(manifold: AbstractManifold, p, q, segments: int) -> Geodesic:
+    """Where chords do not have the lengths of the manifold."""
+
+    def one(p, q):
+        velocity = manifold.log(p, q)
+        along = lambda t: manifold.exp(p, t * velocity)
+        points = jax.vmap(along)(jnp.linspace(0.0, 1.0, segments + 1))
+        length = jnp.sqrt(jnp.sum(manifold.orthonormal(p, velocity) ** 2))
+        return Geodesic(points, length, velocity, jnp.all(jnp.isfinite(points)))
 
     return jax.vmap(one)(p, q)

@@ -28,6 +28,7 @@ from .._solver.minimise import projected_stage
 from .._solver.model import RegressionMap
 from .._solver.solve import solve
 from .._sources.input_errors import InputErrors
+from ..manifolds._defaults.frames import orthonormal_axes
 from .noise import Scatter, renewed, scaled
 from .progress import Progress
 
@@ -117,7 +118,9 @@ def _nodes(
         upper = np.where(normal, upper, errors.upper)
     low, high = (float(v[0]) for v in problem.source.bounds)  # type: ignore[attr-defined]
     lower, upper = np.maximum(lower, low), np.minimum(upper, high)
-    speed = np.linalg.norm(np.asarray(model.velocity(x)).reshape(len(x), -1), axis=1)
+    velocity = np.asarray(model.velocity(x)).reshape(len(x), -1, 1)
+    velocity = orthonormal_axes(problem.target, np.asarray(model(x)), velocity)
+    speed = np.linalg.norm(velocity[:, :, 0], axis=1)
     speed = STEEPER * max(np.quantile(speed, 0.9), 1e-300)
     wanted = np.ceil((upper - lower) * speed / (FINE * deviation))
     counts = np.clip(wanted, FEWEST, MOST).astype(int) | 1  # odd: one in the middle

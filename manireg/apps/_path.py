@@ -81,7 +81,7 @@ class PolePath(NamedTuple):
           of `Posterior.equivalent_kernel`.
 
         **Raises** ValueError for ages off the path, a site or a level that is none."""
-        ages = self.ages if ages is None else np.atleast_1d(as_numbers("ages", ages))
+        ages = self._asked(ages)
         region = self.posterior.region(ages, level)
         motion = self.posterior.sphere_motion(ages, level)
         kernel = self.posterior.equivalent_kernel(ages)
@@ -116,19 +116,16 @@ class PolePath(NamedTuple):
         """Euler poles and angles that carry the plate from today to each of the `ages`
         (default `self.ages`): along the great circle from the path to the geographic pole,
         without rotation about the pole (see `manireg.apps._rotations`)."""
-        ages = self.ages if ages is None else np.atleast_1d(as_numbers("ages", ages))
-        return rotations_to_pole(
-            np.asarray(self.model(ages)), self.hemisphere == "south"
-        )
+        poles = np.asarray(self.model(self._asked(ages)))
+        return rotations_to_pole(poles, self.hemisphere == "south")
 
     def gplates(
         self, ages: Numbers | None = None, *, plate_id: int = 1, fixed_id: int = 0
     ) -> str:
         """The rotations as the text of a GPlates rotation file (`.rot`), of the plate
         `plate_id` to the spin axis, `fixed_id`."""
-        ages = self.ages if ages is None else np.atleast_1d(as_numbers("ages", ages))
         check_plates(plate_id, fixed_id)
-        ages = np.sort(ages)
+        ages = np.sort(self._asked(ages))
         theta = self.posterior.region(ages, LEVEL).theta95
         comments = [f"path of {self.hemisphere} poles, Theta95 {t:.1f}" for t in theta]
         parts = ages, self.rotations(ages), comments
@@ -143,6 +140,9 @@ class PolePath(NamedTuple):
         from ._path_picture import draw
 
         return draw(self, projection, level)
+
+    def _asked(self, ages: Numbers | None) -> Float[np.ndarray, " q"]:
+        return self.ages if ages is None else np.atleast_1d(as_numbers("ages", ages))
 
 
 def path(

@@ -1,10 +1,12 @@
-"""Times as files write them, every digit of them."""
+"""Times, every digit of them: as files write them, and as arrays."""
 
 from decimal import ROUND_FLOOR, Decimal, localcontext
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+
+from .._input.numbers import Numbers
 
 UNITS = {"ns": Decimal("1e-9"), "us": Decimal("1e-6"), "ms": Decimal("1e-3")}
 SIZES = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # since 1970, of this century
@@ -84,3 +86,21 @@ class Stamps(NamedTuple):
         finest = min(int(t.normalize().as_tuple().exponent) for t in self.exact)
         least = 0 if self.unit < 1 else 9
         return max(-finest, least)
+
+
+def first_of(times: Numbers) -> Any:
+    """The least, of the type it has."""
+    array = np.asarray(times)
+    if array.ndim != 1 or not len(array):
+        raise ValueError(f"times: expected shape (k,), found {array.shape}.")
+    return array.min()
+
+
+def seconds_since(times: Numbers, first: Any, unit: float) -> Float[np.ndarray, " k"]:
+    """Differences are exact before they are floats."""
+    array = np.asarray(times)
+    if array.dtype.kind in "mM":
+        return (array - first) / np.timedelta64(1, "s")
+    if array.dtype.kind == "u":
+        array, first = array.astype(object), int(first)
+    return np.asarray(array - first, float) * unit

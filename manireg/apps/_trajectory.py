@@ -6,8 +6,6 @@ from typing import Any, Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.spatial.transform import Rotation
 
 from .._input.numbers import Numbers, as_numbers
@@ -21,6 +19,8 @@ from ..manifolds import Euclidean, Sphere
 from ..manifolds._matrices.poses import rotations_of
 from ..manifolds._matrices.turns import quaternion_turn_rate
 from ._outliers import outliers
+from ._signs import lifted
+from ._stamps import first_of, seconds_since
 
 QUATERNIONS = Sphere(3, 2.0)  # unit ones times 2: distances are angles of rotation
 ORDERS = (2, 3)
@@ -29,7 +29,6 @@ DATA_A_CENTRE = 4.0
 LOST = 1 / 3  # of a datum's weight: with less it counts as an outlier
 CRITERIA = {"position": "error", "orientation": "reml"}
 LONG = 3.0  # median steps between data, from where on it is a gap
-LINKS = 5  # poses ahead that signs are compared with
 
 
 class Motion(NamedTuple):
@@ -217,46 +216,6 @@ def trajectory(
         how: Any = common | {"criterion": criterion or CRITERIA["orientation"]}
         orientation = _part(QUATERNIONS, t, points, orientation_sigma, **how)
     return Trajectory(first, unit, t, position, orientation)
-
-
-def first_of(times: Numbers) -> Any:
-    """The least, of the type it has."""
-    array = np.asarray(times)
-    if array.ndim != 1 or not len(array):
-        raise ValueError(f"times: expected shape (k,), found {array.shape}.")
-    return array.min()
-
-
-def seconds_since(times: Numbers, first: Any, unit: float) -> Float[np.ndarray, " k"]:
-    """Differences are exact before they are floats."""
-    array = np.asarray(times)
-    if array.dtype.kind in "mM":
-        return (array - first) / np.timedelta64(1, "s")
-    if array.dtype.kind == "u":
-        array, first = array.astype(object), int(first)
-    return np.asarray(array - first, float) * unit
-
-
-def lifted(
-    t: Float[np.ndarray, " k"], q: Float[np.ndarray, "k 4"]
-) -> Float[np.ndarray, "k 4"]:
-    """Quaternions with signs that agree along the smallest turns between poses a few
-    apart: a spanning tree passes by the side of outliers, which a chain would go
-    through."""
-    along = np.argsort(t, kind="stable")
-    here, there = [], []
-    for ahead in range(1, min(LINKS, len(t) - 1) + 1):
-        here.append(along[:-ahead])
-        there.append(along[ahead:])
-    a, b = np.concatenate(here), np.concatenate(there)
-    angle = 2 * np.arccos(np.clip(np.abs(np.sum(q[a] * q[b], axis=1)), 0.0, 1.0))
-    graph = coo_array((angle + 1e-9, (a, b)), shape=(len(t), len(t)))
-    tree = minimum_spanning_tree(graph.tocsr())
-    order, parent = breadth_first_order(tree, along[0], directed=False)
-    found = q.copy()
-    for i in order[1:]:
-        found[i] *= 1.0 if found[i] @ found[parent[i]] >= 0 else -1.0
-    return found
 
 
 def _part(target, t, y, sigma, reject, origin: Any = 0.0, **options) -> Part:

@@ -115,7 +115,8 @@ def _fit(target: AbstractManifold, offset, y, weights, rank_one: bool):
 
     def residuals(parameters, _):
         predicted = _geodesic(target, *on_manifold(parameters), offset)
-        return root[:, None] * target.log(y, predicted).reshape(len(y), -1)
+        gaps = target.orthonormal(y, target.log(y, predicted))
+        return root[:, None] * gaps.reshape(len(y), -1)
 
     def run(start):
         point, velocities = start

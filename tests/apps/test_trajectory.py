@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 import manireg as mr
 from manireg.apps._outliers import outliers
-from manireg.apps._trajectory import lifted, seconds_since
+from manireg.apps._signs import lifted
+from manireg.apps._stamps import seconds_since
 
 T = np.linspace(0, 4, 81)
 RNG = np.random.default_rng(0)

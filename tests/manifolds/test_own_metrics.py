@@ -14,6 +14,7 @@ from manireg._discretisation.domain import discretise
 PLANE = mr.Hyperbolic(2)
 TENSORS = mr.AffineInvariantSPD(3)
 INTERVAL = mr.Interval(0, 1)
+TURN = np.array([[0.0, 0.0], [2.0, 0.1], [1.0, 1.5], [-0.5, 1.0]])
 
 
 def definite(k, n, rng):
@@ -234,3 +235,49 @@ def test_what_needs_the_metric_of_the_ambient_space_says_so(key):
     lower = y.at[0].multiply(-1.0)
     with pytest.raises(ValueError, match="lie on the lower sheet of Hyperbolic"):
         mr.make_problem(INTERVAL, PLANE, x, lower)
+
+
+@pytest.mark.parametrize(
+    "target", [PLANE, mr.Hyperbolic(2, 0.3), mr.PlanarShapes(TURN)]
+)
+def test_shortest_curves_have_the_length_of_the_metric(target, key):
+    p, q = target.random_points(key, 2)
+    found = mr.geodesic(target, p, q, segments=8)
+    length = target.squared_distance(p, q) ** 0.5
+    np.testing.assert_allclose(found.length, length, rtol=1e-9)
+    np.testing.assert_allclose(found.points[-1], q, atol=1e-9)
+    steps = target.squared_distance(found.points[1:], found.points[:-1]) ** 0.5
+    np.testing.assert_allclose(steps, length / 8, rtol=1e-6)
+    assert found.converged
+
+
+def test_geodesic_regression_measures_in_the_metric(key):
+    """The least sum of squared distances: no nearby geodesic has less."""
+    x, y = curve(key)
+    found = mr.baselines.geodesic_regression(INTERVAL, PLANE, x, y)
+    mean_square = lambda fitted: float(jnp.mean(PLANE.squared_distance(fitted, y)))
+    least = mean_square(found(x))
+    np.testing.assert_allclose(found.loss, least, rtol=1e-6)
+    p, q = found(0.0), found(1.0)
+    for i in range(6):
+        moves = 1e-3 * jax.random.normal(jax.random.fold_in(key, i), (2, 3))
+        ends = [PLANE.project(end + move) for end, move in zip((p, q), moves)]
+        other = mr.geodesic(PLANE, *ends, segments=2).velocity
+        line = jax.vmap(lambda t, p=ends[0], v=other: PLANE.exp(p, t * v))(jnp.array(x))
+        assert mean_square(line) > least
+
+
+@pytest.mark.slow
+def test_energies_of_maps_from_the_plane_are_those_of_any_map(key):
+    """The basis against autodiff: of the fit itself, at the same points."""
+    rng = np.random.default_rng(0)
+    u = jnp.pad(jnp.array(rng.uniform(-1, 1, (60, 2))), ((0, 0), (1, 0)))
+    p = PLANE.exp(PLANE.origin, u)
+    y = jnp.sin(3 * p[:, 1:2]) + p[:, :1]
+    model = mr.fit(PLANE, mr.Euclidean(1), p, y, 1e-4, centres=48)
+    domain = discretise(PLANE, 48, around=np.asarray(p))
+    found = mr.energy(PLANE, mr.Euclidean(1), model, domain)
+    np.testing.assert_allclose(found, model.energies.eells, rtol=1e-6)
+    np.testing.assert_allclose(
+        jnp.mean((model(p) - y) ** 2), model.energies.loss, rtol=1e-9
+    )
